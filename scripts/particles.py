@@ -166,21 +166,21 @@ def cells(runs: int, seed: int) -> dict[str, tuple[GPB, Tracks]]:
     made = {}
     for name, outliers in (("1, good prior, std", "std"), ("1, good prior, bursts", "bursts")):
         scenario = scenarios.bearings_outliers(outliers, initial="truth")
-        f = presets.gpb(scenario.motion, scenario.sensor, separate_levels=0, noise="stated")
+        f = presets.gpb(scenario.motion, scenario.sensor, separate_levels=0, noise="stated", unreliable=0.0)
         made[name] = f, scenario.simulate(runs, seed)
     scenario = scenarios.bearings_manoeuvre("none")
     tracks, rng = scenario.simulate(runs, seed), torch.Generator().manual_seed(seed)
     noise = torch.randn(*tracks.truth.shape[:2], 2, dtype=torch.float64, generator=rng)
     wild = torch.rand(*noise.shape[:2], 1, generator=rng) < 0.1
     z = tracks.truth[..., :2] + POSITION_STD * torch.where(wild, 10**0.5, 1.0) * noise
-    f = presets.gpb(scenario.motion, Position(POSITION_STD), separate_levels=0, noise="stated")
+    f = presets.gpb(scenario.motion, Position(POSITION_STD), separate_levels=0, noise="stated", unreliable=0.0)
     made["turns by position, covariance"] = f, tracks._replace(z=z, u=None)
     return made
 
 
 def compare(f: GPB, tracks: Tracks, count: int, seed: int, *, progress: bool) -> dict[str, float]:
     """Mean position RMSE of ``gpb``, its lagged estimate, ``gpb`` whose levels share one belief, and particles."""
-    default = presets.gpb(f.bank[0], f.sensor, noise="stated")
+    default = presets.gpb(f.bank[0], f.sensor, noise="stated", unreliable=0.0)
     with torch.no_grad():
         own, shared = (each(tracks.z, tracks.prior, u=tracks.u) for each in (default, f))
         roots = tracks.prior.scale_tril.expand(len(tracks.z), *tracks.prior.scale_tril.shape[-2:])

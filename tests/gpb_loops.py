@@ -17,6 +17,7 @@ VALUES = {
     "outlier_sizes": (9.0, 400.0, 1e6),
     "outlier_shares": (0.6, 0.3, 0.1),
     "prior_outlier": 0.3,
+    "unreliable": 0.05,
     "prior_inflation": 50.0,
     "burst": 1.1,
     "noise": "stated",
@@ -103,8 +104,9 @@ def carried(motion, dt, u=None):
 
 def expected(case, motions, regimes, prior=PRIOR, **more):
     modes = oracle.OutlierModes(
-        case.blocks, np.array(VALUES["outlier_transition"]), VALUES["outlier_sizes"], VALUES["outlier_shares"], **more
-    )
+        case.blocks, np.array(VALUES["outlier_transition"]), VALUES["outlier_sizes"], VALUES["outlier_shares"],
+        **{"unreliable": VALUES["unreliable"]} | more,
+    )  # fmt: skip
     call = (VALUES["prior_outlier"], VALUES["prior_inflation"])
     return oracle.gpb(case.z, prior.mean.numpy(), prior.covariance.numpy(), motions, case.model, regimes, modes, *call)
 

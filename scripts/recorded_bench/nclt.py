@@ -59,6 +59,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "gpb": {
         "manoeuvres": "none",
         "noise": "stated",
+        "unreliable": 0.0,
         "outlier_transition": ((0.999, 0.001), (0.01, 0.99)),
         "outlier_sizes": (10.0, 100.0),
         "outlier_shares": (0.5, 0.5),

@@ -77,6 +77,7 @@ START = {"position": 10.0, "velocity": 10.0, "heading": 0.2, "scale": 0.05, "bia
 OPTIONS: dict[str, Any] = {
     "manoeuvres": "none",
     "noise": "stated",
+    "unreliable": 0.0,
     "outlier_durations": (LASTS, LASTS),
     "outlier_sizes": tuple((max(0.3 * late, 4.0) / STD) ** 2 for late in LATE),
     "outlier_shares": (1 / len(LATE),) * len(LATE),

@@ -77,7 +77,7 @@ BIAS = 0.3
 """Standard deviation of what each anchor's ranges are off by for a whole run, m: chosen on LOS A 1 for its NEES."""
 UNNOTICED = (0.05, 4 * ERROR)
 """Fault of protection levels, as for a robot on a campus."""
-OPTIONS: dict[str, dict[str, Any]] = {"gpb": {"manoeuvres": "none", "noise": "stated"}}
+OPTIONS: dict[str, dict[str, Any]] = {"gpb": {"manoeuvres": "none", "noise": "stated", "unreliable": 0.0}}
 """Arguments of presets that differ from the defaults: a person who walks does not manoeuvre beyond the motion, and
 noise is stated for errors that last."""
 OWN_PRESETS = IN_STATE = ()

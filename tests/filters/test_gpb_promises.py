@@ -302,6 +302,7 @@ def test_the_parts_make_the_filter_that_the_preset_makes():
         outlier_transition=VALUES["outlier_transition"],
         outlier_sizes=VALUES["outlier_sizes"],
         outlier_shares=VALUES["outlier_shares"],
+        unreliable=VALUES["unreliable"],
     )
     f = GPB(MOTION, SENSORS["position"], regimes=regimes, outliers=outliers, prior_outlier=0.3, prior_inflation=50.0)
     same(f(measured(), PRIOR), presets.gpb(MOTION, SENSORS["position"], **VALUES)(measured(), PRIOR))

@@ -158,7 +158,7 @@ def test_gpb_is_what_loops_over_hypotheses_say(motions):
         keeps=[np.exp(-1 / last[3])],  # measurements
     )
     modes = oracle.OutlierModes(case.blocks, None, options["outlier_sizes"], options["outlier_shares"],
-                                 (15.0, 2.5), dt)  # fmt: skip
+                                 (15.0, 2.5), dt, unreliable=options["unreliable"])  # fmt: skip
     prior, models = gpb_loops.PRIOR, [gpb_loops.carried(m, dt) for m in bank]
     r = oracle.gpb(case.z, prior.mean.numpy(), prior.covariance.numpy(), models, case.model, regimes, modes,
                    options["prior_outlier"], options["prior_inflation"])  # fmt: skip
@@ -177,15 +177,17 @@ def test_rows_without_a_measurement_change_no_estimate_of_gpb_where_the_motion_h
 
 @pytest.mark.parametrize("sensor", [None, Position(2.0)], ids=["the first", "that of another sensor"])
 def test_what_no_measurement_foretells_is_an_outlier_as_often_as_in_the_long_run(sensor):
-    f = presets.gpb(ConstantVelocity(1.0), SENSOR, manoeuvres="none", outlier_durations=(60.0, 20.0))
+    f = presets.gpb(ConstantVelocity(1.0), SENSOR, manoeuvres="none", outlier_durations=(60.0, 20.0), unreliable=0.0)
     state = f.init(Gaussian(torch.zeros(4, dtype=torch.float64), torch.eye(4, dtype=torch.float64)))
     if sensor is not None:
         state, _ = f.step(state, tensor(0.0, 0.0))
     measures = SENSOR if sensor is None else sensor
     alone = f.forget(state, measures)
-    log_mode, block = f.outliers_of(measures).predict(alone.outlier, alone.relaxation, torch.tensor(True))
+    log_mode, block = f.outliers_of(measures).predict(
+        alone.outlier, alone.unreliable, alone.relaxation, torch.tensor(True)
+    )
     torch.testing.assert_close(log_mode.exp()[:, 0, 0], tensor(0.75, 0.25))
-    assert (block == 1).all()
+    assert (block.outlier == 1).all()
     off, _ = f.step(state, tensor(300.0, 300.0), dt=0.0, sensor=sensor)
     assert off.belief.mean.abs().max() < 20
 

@@ -116,6 +116,7 @@ class OutlierModes(NamedTuple):
     transitions: list[Callable[[int], Array]] | None = None  # beside it: F (n,n) of every motion at step k
     noise: tuple[float, float] | None = None  # what is learned of it: std of its log variance, and measurements kept
     least: float = 0.5  # factor on the stated variance below which the noise is not
+    unreliable: float = 0.01  # probability of a device that measures large outliers half of the time
     line: Any = None  # the measurement as a `Line`, for beliefs whose points are far off any
 
     def over(self, seconds: float) -> Array:
@@ -470,22 +471,25 @@ def with_outliers(
     model: Model,
     k: int,
     prior: Array,
+    tables: list[Array],
     again: Array,
     path: Belief,
     last: Array,
-) -> tuple[float, Belief, list[float], list[Array]]:
+) -> tuple[float, Belief, list[float], list[float], list[Array]]:
     """Each block an inlier, or an outlier with probability `prior` (B,): log density, belief, and P(outlier) of each.
 
-    Also what inliers say about the noise. Of the outliers `again` (B,) have the offset that they had in the measurement
-    before: z has changed as the `path` says.
+    Also the probability that each device is unreliable, by `tables` of `devices`, and what inliers say about the noise.
+    Of the outliers `again` (B,) have the offset that they had in the measurement before: z has changed as the `path`
+    says.
     """
-    total, outlier, noise = 0.0, [], []
-    for block, share, chance in zip(q.blocks, prior, again, strict=True):
+    total, outlier, unreliable, noise = 0.0, [], [], []
+    for block, share, table, chance in zip(q.blocks, prior, tables, again, strict=True):
         offsets = [0.0] * len(q.sizes) if q.offsets is None else q.offsets
         m = compared(belief, z, block, model, k, q.line)
         R = measurement_noise(model, k, [i for i in block if not math.isnan(z[i])])
         furthest = max(q.sizes[-1], nis_per_element(m, R, offsets[-1]))
-        chances = [1 - share] + [share * (1 - chance) * s for s in q.shares]
+        shares, faulty = table.sum(0), [*(table[1] / table.sum(0))]
+        chances = [1 - share] + [share * (1 - chance) * s / shares[1:].sum() for s in shares[1:]]
         first, sizes = is_first(block, z, q), [1.0, *q.sizes[:-1], furthest]
         parts = [updated(belief, m, R, size, first, off) for size, off in zip(sizes, [0.0, *offsets], strict=True)]
         if not q.inform:
@@ -493,14 +497,16 @@ def with_outliers(
         if chance:
             parts.append((unchanged(z - last, block, path, model, k), *belief))
             chances.append(share * chance)
+            faulty.append(table[1].sum())
         scores = [log(c) + part[0] for c, part in zip(chances, parts, strict=True)]
         score = log_sum(scores)
         weights = [math.exp(s - score) for s in scores]
         noise.append(weights[0] * about_noise(belief, m, R, first, block, z))
         belief = matched([(w, *part[1:]) for w, part in zip(weights, parts, strict=True)])
         outlier.append(sum(weights[1:]))
+        unreliable.append(np.dot(weights, faulty))
         total += score
-    return total, belief, outlier, noise
+    return total, belief, outlier, unreliable, noise
 
 
 def unchanged(change: Array, block: list[int], path: Belief, model: Model, k: int) -> float:
@@ -527,23 +533,39 @@ def log(x: float) -> float:
     return math.log(x) if x > 0 else -math.inf
 
 
-def outlier_probabilities(transition: Array, was: Array, before: int) -> tuple[Array, Array]:
-    """Probabilities (2,) of the modes without and with outliers after `before`, and (B,) of each block."""
-    now = transition[0, 1] + (was if before else np.zeros(len(was))) * (transition[1, 1] - transition[0, 1])
+def devices(q: OutlierModes, transition: Array, was: Array, unreliable: Array, before: int) -> list[Array]:
+    """Of each block probabilities (2,1+C) of a reliable and an unreliable device beside no outlier and those of each
+    size, after mode `before`, in which blocks were outliers with probability `was` (B,)."""
+    larger, tables = np.array(q.shares), []
+    larger[: len(larger) // 2] = 0
+    for faulty, outlying in zip(unreliable, was if before else np.zeros(len(was)), strict=True):
+        table = np.zeros((2, 1 + len(q.shares)))
+        for device, chance in enumerate([1 - faulty, faulty]):
+            for last, of in enumerate([1 - outlying, outlying]):
+                fails, shares = transition[last, 1], np.array(q.shares)
+                if device and not last:
+                    fails, shares = 0.5, larger / larger.sum()
+                table[device] += chance * of * np.array([1 - fails, *(fails * shares)])
+        tables.append(table)
+    return tables
+
+
+def outlier_probabilities(tables: list[Array]) -> tuple[Array, Array]:
+    """Probabilities (2,) of the modes without and with outliers, and (B,) of each block in the latter."""
+    now = np.array([table[:, 1:].sum() for table in tables])
     ok = float(np.prod(1 - now))
     return np.array([ok, 1 - ok]), now / (1 - ok)
 
 
 def same_offset_probabilities(
-    q: OutlierModes, was: Array, transition: Array, last: Array, z: Array, before: int
+    q: OutlierModes, was: Array, transition: Array, tables: list[Array], last: Array, z: Array, before: int
 ) -> Array:
     """Probabilities (B,) that an outlier of each block has the offset of the one before it, after mode `before`."""
     again = np.zeros(len(q.blocks))
     for b, block in enumerate(q.blocks):
         known = not any(math.isnan(last[i]) and not math.isnan(z[i]) for i in block)
         if before and known and was[b]:
-            lasted = was[b] * transition[1, 1]
-            again[b] = q.same_offset * lasted / (lasted + (1 - was[b]) * transition[0, 1])
+            again[b] = q.same_offset * was[b] * transition[1, 1] / tables[b][:, 1:].sum()
     return again
 
 
@@ -554,6 +576,7 @@ class State(NamedTuple):
     log_regimes: Array  # (2,R) logs of the probabilities of mode and regime
     outlier: Array  # (B,) of each block, in the mode with outliers
     last: Array  # (m,) the measurement
+    unreliable: Array  # (2,B) probability that each device is, of every mode
     elapsed: float = 0.0  # s since the last measurement
     noise: Array | None = None  # (B,2) of the log of each block's noise scale: mean, variance
     waiting: Array | None = None  # (5,m) of each element: what its last residual says once the next one has come
@@ -570,7 +593,8 @@ def start(mean: Array, P: Array, regimes: Regimes, q: OutlierModes, prior_outlie
     nothing = np.full(sum(len(block) for block in q.blocks), np.nan)
     noise = None if q.noise is None else np.tile([0.0, q.noise[0] ** 2], (len(q.blocks), 1))
     waiting = np.zeros((5, len(nothing)))
-    return State(beliefs, log_regimes, np.zeros(len(q.blocks)), nothing, math.inf, noise, waiting)
+    unreliable = np.full((2, len(q.blocks)), q.unreliable)
+    return State(beliefs, log_regimes, np.zeros(len(q.blocks)), nothing, unreliable, math.inf, noise, waiting)
 
 
 class Hypothesis(NamedTuple):
@@ -582,6 +606,7 @@ class Hypothesis(NamedTuple):
     log_weight: float
     belief: Belief
     outlier: Array  # (B,)
+    unreliable: Array  # (B,)
     noise: Array  # (3,m) from `about_noise`
 
 
@@ -595,21 +620,23 @@ def hypotheses(
     lines = [None if nothing else line_at_place(predictions[before, widest], z, model, k) for before in MODES]
     for before, r in predictions:
         q = q._replace(line=lines[before])
-        mode, prior = outlier_probabilities(transition, c.outlier, before)
-        again = same_offset_probabilities(q, c.outlier, transition, c.last, z, before)
+        unreliable = c.unreliable[before] + (q.unreliable - c.unreliable[before]) / 200
+        tables = devices(q, transition, c.outlier, unreliable, before)
+        mode, prior = outlier_probabilities(tables)
+        again = same_offset_probabilities(q, c.outlier, transition, tables, c.last, z, before)
         if nothing:
             mode = np.eye(2)[before]  # until a measurement says more
         score, belief, noise = without_outliers(predictions[before, r], z, q, model, k)
         weight = log_chance[before, r]
-        found.append(
-            Hypothesis(0, r, before, weight + log(mode[0]) + score, belief, np.zeros(len(prior)), np.sum(noise, axis=0))
-        )
+        fine, none = np.array([table[1, 0] / table[:, 0].sum() for table in tables]), np.zeros(len(prior))
+        found.append(Hypothesis(0, r, before, weight + log(mode[0]) + score, belief, none, fine, np.sum(noise, axis=0)))
         path = moved.get((before, r), predictions[before, r])
-        score, belief, outlier, noise = with_outliers(
-            predictions[before, r], z, q, model, k, prior, again, path, c.last
+        score, belief, outlier, faulty, noise = with_outliers(
+            predictions[before, r], z, q, model, k, prior, tables, again, path, c.last
         )
         weight += log(mode[1]) + score
-        found.append(Hypothesis(1, r, before, weight, belief, np.array(outlier), np.sum(noise, axis=0)))
+        of_blocks = np.array(outlier), np.array(faulty)
+        found.append(Hypothesis(1, r, before, weight, belief, *of_blocks, np.sum(noise, axis=0)))
     return found
 
 
@@ -745,14 +772,16 @@ def step(
             known, waiting = judged(known, waiting, about, 1 - outlier, expected, z, model, k, q.blocks)
             known[:, 0] = known[:, 0].clip(min=math.log(q.least)) if q.least else known[:, 0]
         output["noise"] = np.exp(known[:, 0])
+    now = State(after, log_regimes, c.outlier, z, c.unreliable, seconds, known, waiting, c.count, c.wider)
     if nothing:
         output["outlier"] = np.zeros(len(c.outlier))
-        return State(after, log_regimes, c.outlier, z, seconds, known, waiting, c.count, c.wider), output, lagged
-    return (
-        State(after, log_regimes, outlier / np.exp(log_regimes[1]).sum(), z, 0.0, known, waiting, c.count + 1, wider),
-        output,
-        lagged,
-    )
+        return now, output, lagged
+    outlier = outlier / np.exp(log_regimes[1]).sum()
+    faulty = np.array([
+        np.sum([math.exp(h.log_weight - log_sum(log_regimes[i])) * h.unreliable for h in every if h.now == i], axis=0)
+        for i in MODES
+    ])  # fmt: skip
+    return now._replace(outlier=outlier, unreliable=faulty, elapsed=0.0, count=c.count + 1, wider=wider), output, lagged
 
 
 def alarms(r: Result, z: Array, model: Model, blocks: list[list[int]], dt: Array, q: OutlierModes) -> Result:

@@ -89,6 +89,7 @@ def gpb(
     outlier_sizes: Values = (8.77, 54.1, 1230.0, 21000.0),
     outlier_shares: Values = (0.35, 0.35, 0.15, 0.15),
     outlier_offsets: Values | None = None,
+    unreliable: Value = 0.01,
     prior_outlier: Value = 0.001,
     prior_inflation: Value = 100.0,
     adaptive_largest_size: bool = True,
@@ -143,6 +144,8 @@ def gpb(
         outlier_shares: share of the outliers that have each size.
         outlier_offsets: mean of the noise of outliers of each size, in units of the nominal noise, as of ranges without
             a line of sight, which are too large; None for 0.
+        unreliable: probability that a device is unreliable before its first measurement: that half of what it measures
+            are large outliers, for some 200 measurements.
         prior_outlier: probability that the prior is an outlier: that its mean is far off.
         prior_inflation: factor on the prior's covariance in that case, except for components of kind ``"parameter"``;
             it grows with what the first measurement shows, so that the prior may be off by any distance.  1 is for a
@@ -211,6 +214,7 @@ def gpb(
         outlier_offsets=outlier_offsets,
         adaptive_largest_size=adaptive_largest_size,
         outliers_update=outliers_update,
+        unreliable=unreliable,
         same_offset=same_offset,
     )
     learned = LearnedNoise(noise_doubt, noise_memory, noise_least)  # checks values that nobody needs

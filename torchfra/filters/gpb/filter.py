@@ -28,7 +28,7 @@ from torchfra.filters.gpb.hypotheses import (
     values_first,
 )
 from torchfra.filters.gpb.noise import LearnedNoise, NoiseScale, factors, measured_blocks
-from torchfra.filters.gpb.outliers import Outliers
+from torchfra.filters.gpb.outliers import Modes, Outliers
 from torchfra.filters.gpb.regimes import LARGEST_FACTOR, PRIOR_BURST, Regime, Regimes, Surprise, Switching
 from torchfra.filters.gpb.slopes import (
     Line,
@@ -202,8 +202,8 @@ class GPB(Filter[GPBState]):
         last = None if self.outliers.same_offset is None else _unmeasured(mean, self.sensor)
         doubt = torch.ones_like(mean[..., 0])
         noise = None if self.noise is None else self.noise.begin(outlier, self.sensor.size)
-        kept = to_state(every, (OUTLIER, MOTION))
-        return GPBState(belief, belief, *kept, outlier, outlier, doubt, torch.ones_like(doubt), relaxation, last, noise)
+        kept = *to_state(every, (OUTLIER, MOTION)), outlier, self.outliers.unreliable_next(outlier)
+        return GPBState(belief, belief, *kept, outlier, doubt, torch.ones_like(doubt), relaxation, last, noise)
 
     def advance(self, state: GPBState, frame: Frame) -> tuple[GPBState, Record]:
         """One step; the numbers are those of the class's docstring."""
@@ -216,14 +216,16 @@ class GPB(Filter[GPBState]):
         predicted, surprise, widening = self.predict_regimes(
             mixed, switching.log_weight, frame, state.doubt, relaxation
         )  # (3)
-        log_mode, blocks_outlying = outliers.predict(state.outlier, relaxation, measured)
+        unreliable = outliers.unreliable_next(state.outlier, state.unreliable)
+        log_mode, modes = outliers.predict(state.outlier, unreliable, relaxation, measured)
         rarity = self.outlying_rarity(state, predicted, surprise.cost, widening, frame)
-        modes = log_mode + regimes.given_back(rarity), blocks_outlying
-        change = self.compare_change(state, relaxation, mixed, surprise.nis, frame)
+        log_mode = log_mode + regimes.given_back(rarity)
+        change = self.compare_change(state, modes, relaxation, mixed, surprise.nis, frame)
         compare = self.comparison(predicted.of([regimes.widest]).belief, frame)
-        updated, outlier, log_ratio, inliers = outliers.update(
-            predicted, compare, frame, modes, change, learn_noise=noise is not None
+        updates = outliers.update(
+            predicted, compare, frame, (log_mode, modes), change, learn_noise=noise is not None
         )  # (4)
+        updated = updates.every
         posterior = updated.posterior()  # (5)
         after = regimes.merged(updated, self.motion.angles)  # (6)
         belief = estimate(after.belief, after.share_roots(MOTION)[0] * posterior.mode, self.motion)  # (7)
@@ -232,9 +234,11 @@ class GPB(Filter[GPBState]):
 
         # The next state; its probabilities of outliers are those of the last step with a measurement.
         share = posterior.share[1:].unsqueeze(-1)  # a hypothesis of no weight may have failed
-        blocks = (share * torch.where(share > 0, outlier, 0.0)).sum((OUTLIER, MOTION, BEFORE))
+        blocks = (share * torch.where(share > 0, updates.outlier, 0.0)).sum((OUTLIER, MOTION, BEFORE))
         blocks = torch.where(measured.unsqueeze(-1), blocks, state.outlier)
-        kept = *to_state(Hypotheses(after.belief, posterior.log_regimes), (OUTLIER, MOTION)), blocks
+        unreliable = outliers.unreliable_after(modes, updates, posterior.share)
+        unreliable = torch.where(measured[..., None, None], unreliable, state.unreliable)
+        kept = *to_state(Hypotheses(after.belief, posterior.log_regimes), (OUTLIER, MOTION)), blocks, unreliable
         relaxation = None if relaxation is None else torch.where(measured, 0.0, relaxation)
         last = (
             None
@@ -244,10 +248,10 @@ class GPB(Filter[GPBState]):
         expected = self.compare(self.expected(predicted, frame), frame)
         root, normalised = innovation(expected)
         some_outlier = torch.where(measured, posterior.some_outlier, 0.0).unsqueeze(-1) * blocks
-        if self.noise is not None and noise is not None and inliers is not None:
+        if self.noise is not None and noise is not None and updates.inliers is not None:
             innovated = Gaussian(expected.residual, root)
             noise = self.noise.update(
-                noise, frame, innovated, inliers, posterior.probability, some_outlier, outliers.blocks
+                noise, frame, innovated, updates.inliers, posterior.probability, some_outlier, outliers.blocks
             )
         doubt = torch.where(measured, 0.5 * state.doubt, state.doubt)
         widened = torch.where(state.doubt > FIRST, widening, torch.where(state.doubt > THIRD, state.widening, 1.0))
@@ -260,7 +264,7 @@ class GPB(Filter[GPBState]):
         by_regime = posterior.probability.sum((OUTLIER, BEFORE)).movedim(0, -1)
         variances = torch.ones_like(state.outlier) if noise is None else noise.log_scale.exp()
         info = Step(tree.Late(lagged), by_regime, some_outlier, alarm, variances)
-        ratio = None if log_ratio is None else log_ratio[0, :, 1].movedim(0, -1)
+        ratio = None if updates.log_ratio is None else updates.log_ratio[0, :, 1].movedim(0, -1)
         by_belief = Surprise(*[x[0, 0].movedim(0, -1) for x in surprise])
         seen = measured.to(widening).expand_as(widening)
         rarity = rarity.squeeze(MOTION).movedim((0, 1), (-2, -1))
@@ -426,7 +430,7 @@ class GPB(Filter[GPBState]):
         return compare
 
     def compare_change(
-        self, state: GPBState, relaxation: Tensor | None, mixed: Gaussian, nis: Tensor, frame: Frame
+        self, state: GPBState, modes: Modes, relaxation: Tensor | None, mixed: Gaussian, nis: Tensor, frame: Frame
     ) -> tuple[Tensor, Whitened] | None:
         """Probabilities that outliers have the offset of the step before, and the change of the measurement since.
 
@@ -444,7 +448,7 @@ class GPB(Filter[GPBState]):
         change = hstack(rest, slope - root, predicted.process_noise)[..., :d, :]
         expected = Gaussian(self.motion.difference(predicted.mean, mean)[..., :d], tria(change))
         probability = self.outliers_of(frame.sensor).same_offset_probability(
-            state.outlier, relaxation, state.last.measured, frame.measured
+            state.outlier, modes.unreliable, relaxation, state.last.measured, frame.measured
         )
         z = frame.sensor.difference(frame.z, state.last.z)
         return probability, self.compare(expected, frame._replace(z=z))
@@ -545,14 +549,18 @@ class GPB(Filter[GPBState]):
         outlier = state.belief.mean.new_zeros((*state.belief.mean.shape[:-1], len(sensor.blocks)))
         last = None if state.last is None else _unmeasured(state.belief.mean, sensor)
         noise = None if self.noise is None else self.noise.begin(outlier, sensor.size)
-        return self.remember(state, state._replace(outlier=outlier, last=last, noise=noise))
+        unreliable = self.outliers.unreliable_next(outlier)
+        return self.remember(state, state._replace(outlier=outlier, unreliable=unreliable, last=last, noise=noise))
 
     def remember(self, state: GPBState, before: GPBState) -> GPBState:
-        """A state whose outliers are independent of the measurement, with the noise that was known ``before`` it."""
+        """A state whose outliers are independent of the measurement, with what was known of a sensor ``before`` it."""
         relaxation = None if state.relaxation is None else torch.ones_like(state.relaxation)
         none = torch.zeros_like(before.outlier)
         last: LastMeasurement | None = tree.map_tensors(torch.zeros_like, before.last)
-        return state._replace(outlier=none, duration=none, relaxation=relaxation, last=last, noise=before.noise)
+        return state._replace(
+            outlier=none, unreliable=before.unreliable, duration=none, relaxation=relaxation, last=last,
+            noise=before.noise,
+        )  # fmt: skip
 
     # ------------------------------------------------------------ smoothing
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.distributions import constraints
 from torch.nn.functional import pad
 
-from torchfra.filters.gpb.hypotheses import Hypotheses, values_first
+from torchfra.filters.gpb.hypotheses import BEFORE, MOTION, OUTLIER, Hypotheses, values_first
 from torchfra.filters.gpb.noise import by_block, of_inlier
 from torchfra.filters.gpb.slopes import elements_of
 from torchfra.filters.gpb.updates import small_power, update
@@ -33,6 +33,12 @@ LEAST_OUTLIER = 30.0
 NEVER = 1e-12
 """Probability of an outlier below which it counts as that rare beside a jump."""
 
+HALF = 0.5
+"""Probability that an unreliable device measures an outlier after an inlier."""
+
+TROUBLE = 200.0
+"""For how many measurements a device stays unreliable in the mean."""
+
 EXPECTED = 0.7
 """How much less likely an element is as predicted than with its noise alone, at most: twice the log, where they vary
 alike."""
@@ -43,10 +49,27 @@ class Noise(NamedTuple):
 
     sizes: Tensor
     """``(1 + C, ...)`` factors on its covariance, the first of no outlier."""
-    log_shares: Tensor
-    """``(C, ...)`` logs of the shares of outliers."""
+    shares: Tensor
+    """``(C, ...)`` of outliers."""
+    large: Tensor
+    """``(C, ...)`` of outliers that begin while a device is unreliable: those of the larger half of the sizes."""
     offsets: Tensor | None
     """``(1 + C, ...)`` its mean; None for 0."""
+
+
+class Modes(NamedTuple):
+    """What is expected of blocks, after a step without an outlier and after one with some: ``(1, 1, 2, ..., B)``."""
+
+    outlier: Tensor
+    """Probability that each block is an outlier, given that some block is."""
+    unreliable: Tensor
+    """Probability that its device is unreliable."""
+    inlier: Tensor
+    """The same, if it is an inlier."""
+    begun: Tensor
+    """Probability of an outlier that it begins, as the device is unreliable."""
+    lasted: Tensor
+    """Probability of an outlier that it goes on while the device is unreliable."""
 
 
 class Weighed(NamedTuple):
@@ -58,6 +81,8 @@ class Weighed(NamedTuple):
     """``(2, R, 2, ...)`` of the block."""
     outlier: Tensor
     """``(1, R, 2, ...)`` probability that it is an outlier, given that some block is."""
+    unreliable: Tensor
+    """``(1, R, 2, ...)`` probability that it is one of an unreliable device, given that some block is."""
     log_ratio: Tensor | None
     """``(1, R, 2, ...)`` log likelihood ratio of outliers with and without the same offset; None without that."""
     inlier: Gaussian | None
@@ -71,6 +96,8 @@ class Updates(NamedTuple):
     """``(2, R, 2, ...)`` without and with outliers."""
     outlier: Tensor
     """``(1, R, 2, ..., B)`` probability that each block is an outlier, given that some block is."""
+    unreliable: Tensor
+    """``(1, R, 2, ..., B)`` probability that it is one of an unreliable device, given that some block is."""
     log_ratio: Tensor | None
     """``(1, R, 2, ...)`` log likelihood ratio of outliers with and without the same offset; None without that."""
     inliers: Tensor | None
@@ -79,6 +106,12 @@ class Updates(NamedTuple):
 
 class Outliers(Part):
     """Whether measurements are outliers: a Markov chain for each block of elements.
+
+    The device of a block may be unreliable, for ``TROUBLE`` measurements in the mean.  While it is, an outlier follows
+    an inlier with a probability of ``HALF``, of the larger half of the sizes alone: smaller ones look like noise or
+    process noise that is stated too small.  So what is half outliers is filtered as such after few of them, and a
+    single outlier does not make the next one likely.  How long outliers last says nothing of it: they may be a target
+    that has jumped.
 
     Args:
         blocks: indices of the elements of each block: those of a device fail together.
@@ -93,6 +126,7 @@ class Outliers(Part):
             noise, so that outliers of any size beyond it are equally likely.
         outliers_update: whether outliers update the belief, as measurements with larger noise; if not, it stays as
             predicted.
+        unreliable: ``(...)`` probability that a device is unreliable before its first measurement.
         same_offset: ``(...)`` probability that an outlier of a block that was one in the step before has the same
             offset, as the fixes of a second target have; it does not update the belief.  Both steps are assumed to have
             the noise of the later one.  For linear sensors; None for 0.
@@ -122,6 +156,7 @@ class Outliers(Part):
         outlier_offsets: Values | None = None,
         adaptive_largest_size: bool = True,
         outliers_update: bool = True,
+        unreliable: Value = 0.0,
         same_offset: Value | None = None,
     ) -> None:
         super().__init__()
@@ -152,6 +187,7 @@ class Outliers(Part):
         self.outlier_offsets = None
         if offsets is not None:
             self.outlier_offsets = Hyper(offsets, constraints.real, event_dim=1, name="outlier_offsets")
+        self.unreliable = Hyper(unreliable, constraints.unit_interval, name="unreliable")
         self.same_offset = None
         if same_offset is not None:
             self.same_offset = Hyper(same_offset, constraints.unit_interval, name="same_offset")
@@ -201,6 +237,17 @@ class Outliers(Part):
         later: Tensor = before - (1 - before) * torch.expm1(-dt * rate)
         return later
 
+    def unreliable_next(self, like: Tensor, unreliable: Tensor | None = None) -> Tensor:
+        """Probability ``(..., 2, B)`` that each device is unreliable at its next measurement.
+
+        Args:
+            like: ``(..., B)``.
+            unreliable: ``(..., 2, B)`` the same at the last one, if it had no outlier and if some; None before the
+                first.
+        """
+        usual: Tensor = self.unreliable(like[..., 0])[..., None, None].expand(*like.shape[:-1], 2, like.shape[-1])
+        return usual if unreliable is None else unreliable + (usual - unreliable) / TROUBLE
+
     def now(self, outlier: Tensor, relaxation: Tensor | None) -> Tensor:
         """Probability ``(..., B)`` that each block is faulty now, from that at the last measurement.
 
@@ -215,28 +262,35 @@ class Outliers(Part):
         begins, lasts = self._probabilities(outlier, relaxation)
         return begins + outlier * (lasts - begins)
 
-    def predict(self, outlier: Tensor, relaxation: Tensor | None, measured: Tensor) -> tuple[Tensor, Tensor]:
-        """Transition probabilities of outliers to the next step; without a measurement in that, the modes stay.
+    def predict(
+        self, outlier: Tensor, unreliable: Tensor, relaxation: Tensor | None, measured: Tensor
+    ) -> tuple[Tensor, Modes]:
+        """Logs ``(2, 1, 2, ...)`` of the probabilities that the next step has no outlier or some, and of its blocks.
+
+        Without a measurement in it, the modes stay.
 
         Args:
             outlier: ``(..., B)`` probability that each block was an outlier, given that some block was.
+            unreliable: ``(..., 2, B)`` from ``unreliable_next``.
             relaxation: ``(...)`` from ``relaxation``, None without durations.
             measured: ``(...)`` bool, whether the next step has a measurement.
-
-        Returns:
-            Logs ``(2, 1, 2, ...)`` of the probability that the next step has no outlier or some, after a step without
-            or with some, and the probability ``(1, 1, 2, ..., B)`` that each block is one, given that some block is.
         """
         begins, lasts = self._probabilities(outlier, relaxation)
-        now = torch.stack([begins.expand_as(outlier), begins + outlier * (lasts - begins)])[None, None]
+        unreliable = unreliable.movedim(-2, 0)[None, None]
+        begins = begins + unreliable * (HALF - begins)
+        was = torch.stack([torch.zeros_like(outlier), outlier])[None, None]
+        now = begins + was * (lasts - begins)
         none = safe_log1p(-now).sum(-1)
         some = -torch.expm1(none)
         share = torch.ones_like(now) if len(self.blocks) == 1 else safe_divide(now, some.unsqueeze(-1))
         same = torch.eye(2, dtype=now.dtype, device=now.device).log().reshape(2, 1, 2, *[1] * measured.dim())
-        return torch.where(measured, torch.cat([none, safe_log(some)]), same), share
+        log_mode = torch.where(measured, torch.cat([none, safe_log(some)]), same)
+        inlier = unreliable * safe_divide((1 - was) * (1 - HALF) + was * (1 - lasts), 1 - now)
+        begun, lasted = (unreliable * safe_divide(x, now) for x in ((1 - was) * HALF, was * lasts))
+        return log_mode, Modes(share, unreliable, inlier, begun, lasted)
 
     def same_offset_probability(
-        self, outlier: Tensor, relaxation: Tensor | None, before: Tensor, now: Tensor
+        self, outlier: Tensor, unreliable: Tensor, relaxation: Tensor | None, before: Tensor, now: Tensor
     ) -> Tensor:
         """Probability ``(1, 1, 2, ..., B)`` that an outlier of a block has the offset of the step before.
 
@@ -244,18 +298,20 @@ class Outliers(Part):
 
         Args:
             outlier: ``(..., B)`` as in ``predict``.
+            unreliable: ``(1, 1, 2, ..., B)`` as in ``Modes``.
             relaxation: ``(...)`` from ``relaxation``, None without durations.
             before: ``(..., m)`` 1 where the step before was measured, 0 where missing.
             now: ``(..., m)`` the same of this step.
         """
         begins, lasts = self._probabilities(outlier, relaxation)
+        begins = begins + unreliable[0, 0, 1] * (HALF - begins)
         lasted = safe_divide(outlier * lasts, begins + outlier * (lasts - begins))
         unknown = torch.stack([(now * (1 - before))[..., list(block)].amax(-1) for block in self.blocks], -1)
         after_some = (1 - unknown) * lasted * self.same_offset(outlier[..., 0]).unsqueeze(-1)  # type: ignore[misc]
         return torch.stack([torch.zeros_like(after_some), after_some])[None, None]
 
     def _probabilities(self, like: Tensor, relaxation: Tensor | None) -> tuple[Tensor, Tensor]:
-        """Probabilities ``(..., 1)`` of an outlier after none, and after one."""
+        """Probabilities ``(..., 1)`` of an outlier of a reliable device after none, and after one."""
         if relaxation is None:
             transition = self.outlier_transition(like)  # type: ignore[misc]
             return transition[..., 0, 1].unsqueeze(-1), transition[..., 1, 1].unsqueeze(-1)
@@ -313,7 +369,7 @@ class Outliers(Part):
         predicted: Hypotheses,
         compare: Callable[[Gaussian, Sequence[int]], Whitened],
         frame: Frame,
-        modes: tuple[Tensor, Tensor],
+        modes: tuple[Tensor, Modes],
         change: tuple[Tensor, Whitened] | None = None,
         *,
         learn_noise: bool = False,
@@ -335,7 +391,7 @@ class Outliers(Part):
             change: from ``same_offset_probability``, and the change of the measurement compared with its prediction.
             learn_noise: whether to return what inliers say about the noise.
         """
-        (log_mode, prior), reads, missing = modes, frame.sensor.reads, 1 - frame.measured
+        (log_mode, of_blocks), reads, missing = modes, frame.sensor.reads, 1 - frame.measured
         mean, root = predicted.belief.mean[..., :reads], predicted.belief.scale_tril[..., :reads, :reads]
         eye, noise = torch.eye(reads, dtype=root.dtype, device=root.device), self._noise(mean)
         belief, log_density = Gaussian(torch.zeros_like(mean), eye.expand_as(root)), torch.zeros_like(mean[..., 0])
@@ -350,7 +406,8 @@ class Outliers(Part):
             none_measured = none_measured * block_missing.amin(-1)[..., None, None]
             rows, cross, independent, residual = _in_space_of(whitened, belief)
             since = None if change is None else (change[0][..., b], elements_of(change[1], block))
-            found = self._weigh_modes(rows, residual, block_missing, prior[..., b], noise, since)
+            expected = Modes(*[x[..., b] for x in of_blocks])
+            found = self._weigh_modes(rows, residual, block_missing, expected, noise, since)
             weighed.append(found)
             if learn_noise:
                 learned.append(_of_inliers(found, rows, residual, block_missing))
@@ -364,23 +421,41 @@ class Outliers(Part):
         return Updates(
             Hypotheses(_lifted(predicted.belief, belief), log_weight),
             torch.stack([found.outlier for found in weighed], -1),
+            torch.stack([found.unreliable for found in weighed], -1),
             reduce(torch.add, ratios) if ratios else None,
             torch.cat(learned, -1)[..., sorted(range(len(elements)), key=elements.__getitem__)] if learned else None,
         )
+
+    def unreliable_after(self, modes: Modes, updates: Updates, share: Tensor) -> Tensor:
+        """Probability ``(..., 2, B)`` that each device is unreliable, if a measurement is no outlier and if some is.
+
+        Args:
+            modes: from ``predict``.
+            updates: from ``update``.
+            share: ``(2, R, 2, ...)`` probabilities of the hypotheses without and with outliers, given these.
+        """
+        none, some = share.unsqueeze(-1).split(1, OUTLIER)
+        # A hypothesis of no weight may have failed.
+        outlier, unreliable = (torch.where(some > 0, x, 0.0) for x in (updates.outlier, updates.unreliable))
+        each = torch.cat([none * modes.inlier, some * (unreliable + (1 - outlier) * modes.inlier)])
+        return each.sum((MOTION, BEFORE)).movedim(0, -2)
 
     @once
     def _noise(self, mean: Tensor) -> Noise:
         """The noise of a block, by the sizes of outliers, for ``mean (..., n)``."""
         rank = mean.dim() - 1
-        sizes, shares = values_first(self.outlier_sizes(mean), rank), self.outlier_shares(mean)
-        sizes, log_shares = torch.cat([torch.ones_like(sizes[:1]), sizes]), values_first(shares.log(), rank)
+        sizes, shares = (values_first(x(mean), rank) for x in (self.outlier_sizes, self.outlier_shares))
+        half = len(sizes) // 2
+        large = torch.cat([torch.zeros_like(shares[:half]), shares[half:]])
+        large = safe_divide(large, large.sum(0), 1 / (len(sizes) - half))
+        sizes = torch.cat([torch.ones_like(sizes[:1]), sizes])
         if self.outlier_offsets is None:
-            return Noise(sizes, log_shares, None)
+            return Noise(sizes, shares, large, None)
         offsets = values_first(self.outlier_offsets(mean), rank)
-        return Noise(sizes, log_shares, torch.cat([torch.zeros_like(offsets[:1]), offsets]))
+        return Noise(sizes, shares, large, torch.cat([torch.zeros_like(offsets[:1]), offsets]))
 
     def _weigh_modes(
-        self, rows: Tensor, residual: Tensor, missing: Tensor, prior: Tensor, noise: Noise,
+        self, rows: Tensor, residual: Tensor, missing: Tensor, modes: Modes, noise: Noise,
         change: tuple[Tensor, Whitened] | None,
     ) -> Weighed:  # fmt: skip
         """The update of the unknowns of ``_in_space_of`` by one block.
@@ -390,7 +465,7 @@ class Outliers(Part):
                 dimension is that of the blocks before this one, 1 for the first block.
             residual: ``(1 or 2, R, 2, ..., m)``.
             missing: ``(..., m)`` 1 where missing, 0 where measured.
-            prior: ``(1, 1, 2, ...)`` probability that the block is an outlier, given that some block is.
+            modes: of the block, each ``(1, 1, 2, ...)`` or ``(...)``.
             noise: of the block.
             change: probability that an outlier has the offset of the step before, and the measurement's change since.
         """
@@ -407,24 +482,31 @@ class Outliers(Part):
         single = (
             len(self.blocks) == 1
         )  # given that some block is an outlier, a single one is: no inlier among its modes
-        inliers = [] if single else [(log_inlier + torch.log1p(-prior)).unsqueeze(0)]
-        outliers = log_updated[1:] + prior.log() + noise.log_shares
+        inliers = [] if single else [(log_inlier + torch.log1p(-modes.outlier)).unsqueeze(0)]
+        shares = noise.shares + modes.begun * (noise.large - noise.shares)
+        unreliable = safe_divide(modes.begun * noise.large + modes.lasted * noise.shares, shares)
+        outliers = log_updated[1:] + modes.outlier.log() + safe_log(shares)
         joint, log_ratio = torch.cat([*inliers, outliers]), None
         if change is not None:  # one more mode, which the noise of two steps explains
             probability, whitened = change
             _, log_same = update(whitened.spread, whitened.residual, (2 * noise.sizes[:1]).sqrt(), missing)
-            same = (log_same + prior.log() + safe_log(probability)).expand_as(outliers[:1])
+            same = (log_same + modes.outlier.log() + safe_log(probability)).expand_as(outliers[:1])
             without, joint = joint, torch.cat([*inliers, outliers + safe_log1p(-probability), same])
             log_ratio = _log_ratio(log_sum(joint, 0), log_sum(without, 0))
             updated = updated.before_prior(len(stds), 1)
+            unreliable = torch.cat([unreliable, modes.unreliable.expand_as(unreliable[:1])])
 
         roots, log_some = share_roots(joint)
         some = updated.merged(roots)
         more = some.scale_tril.shape[-1] - none.scale_tril.shape[-1]
         none = none._replace(scale_tril=pad(none.scale_tril, (0, more)))
         both = Gaussian(*[torch.cat(x) for x in zip(none, some, strict=True)])
-        outlier = torch.ones_like(log_some) if single else roots[1:].square().sum(0)
-        return Weighed(both, torch.cat([log_none, log_some]), outlier, log_ratio, None if single else inlier)
+        each = roots[len(inliers) :].square()
+        outlier = torch.ones_like(log_some) if single else each.sum(0)
+        unreliable = (each * unreliable).sum(0)
+        return Weighed(
+            both, torch.cat([log_none, log_some]), outlier, unreliable, log_ratio, None if single else inlier
+        )
 
     def adapted(self, sizes: Tensor, residual: Tensor, missing: Tensor, offsets: Tensor | None = None) -> Tensor:
         """Roots ``(C, ...)`` of the sizes, the last at least the root mean square of a residual if adaptive.

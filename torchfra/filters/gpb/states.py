@@ -38,6 +38,8 @@ class GPBState(NamedTuple):
     """``(..., 2, R)`` logs of the joint probabilities of no outlier or some, and of the regime."""
     outlier: Tensor
     """``(..., B)`` probability that each block was an outlier, given that some block was."""
+    unreliable: Tensor
+    """``(..., 2, B)`` probability that each block's device is unreliable, without and with an outlier."""
     duration: Tensor
     """``(..., B)`` seconds, as in ``Alarm``."""
     doubt: Tensor
@@ -92,6 +94,8 @@ class GPBPast(NamedTuple):
     """See ``GPBState``."""
     outlier: Tensor
     """See ``GPBState``."""
+    unreliable: Tensor
+    """See ``GPBState``."""
     surprise: Surprise
     """``(..., 2)`` how far the measurement was from its prediction, without and with an outlier in the one before."""
     widening: Tensor
@@ -111,4 +115,4 @@ class GPBPast(NamedTuple):
         """As in ``records.Past``: of the next step all that is no belief and not what is merged from it."""
         none: Any = None  # ``retreat`` reads no others
         kept = self.surprise, self.widening, self.rarity, self.measured, self.posterior
-        return GPBPast(none, none, none, *kept, None, self.log_same_offset)
+        return GPBPast(none, none, none, none, *kept, None, self.log_same_offset)

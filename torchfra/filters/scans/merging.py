@@ -103,14 +103,15 @@ def _of_regimes(inner: GPB, states: GPBState, log_weights: Tensor) -> GPBState:
     """Merges each motion, without and with an outlier, by its joint probability with each hypothesis."""
     joint = _joint(log_weights[..., None, None], states.log_weights)  # (P, ..., 2, R)
     _, shares = _shared(inner.regimes.log_by_belief(joint, -1), log_weights[..., None, None])  # (P, ..., 2, K)
-    _, some = _shared(log_sum(joint[..., 1, :], -1), log_weights)
+    _, modes = _shared(log_sum(joint, -1), log_weights[..., None])  # (P, ..., 2)
     angles = inner.motion.angles
     return GPBState(
         moment_match(states.belief, log_weights, angles),
         moment_match(states.lagged, log_weights, angles),
         moment_match(states.hypotheses, shares, angles),
         log_sum(joint, 0),
-        averaged(states.outlier, some),
+        averaged(states.outlier, modes[..., 1]),
+        averaged(states.unreliable, modes),
         averaged(states.duration, log_weights),
         averaged(states.doubt.unsqueeze(-1), log_weights).squeeze(-1),
         averaged(states.widening.unsqueeze(-1), log_weights).squeeze(-1),
