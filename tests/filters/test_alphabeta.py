@@ -32,6 +32,9 @@ def test_known_gains():
     one, small = gains.kalata(1.0), gains.kalata(0.05)
     assert (one.alpha.item(), one.beta.item()) == pytest.approx((0.75, 0.5))
     assert (small.alpha.item(), small.beta.item()) == pytest.approx((0.2708671190, 0.0426946390), abs=1e-10)
+    assert gains.benedict_bordner(0.5).beta.item() == pytest.approx(1 / 6)
+    damped = gains.critically_damped(0.6)
+    assert damped.beta.item() == pytest.approx(2 - 0.64 - 2 * (1 - 0.64) ** 0.5)
 
 
 @pytest.mark.parametrize("orders", [2, 3])
@@ -45,6 +48,19 @@ def test_kalatas_gains_are_those_of_a_kalman_filter_that_has_settled(orders):
     found = gains.kalata(index, orders)
     expected = [found.alpha, found.beta] + ([] if orders == 2 else [found.gamma / 2])
     torch.testing.assert_close(P[..., 0], torch.stack(expected, -1), rtol=1e-6, atol=1e-9)
+
+
+def test_expanding_memory_is_the_least_squares_line():
+    line = gains.expanding_memory(tensor(1, 2, 3, 4))
+    torch.testing.assert_close(line.alpha, tensor(1, 1, 5 / 6, 0.7))
+    torch.testing.assert_close(line.beta, tensor(0, 1, 0.5, 0.3))
+    z = torch.randn(12, 1, generator=torch.Generator().manual_seed(0)).double()
+    slow = gains.kalata(1e-6)
+    f = AlphaBeta(LINE, SENSOR, slow, expanding=True)
+    found = f(z, PRIOR, dt=2.0).mean
+    for k in range(2, 13):
+        slope, level = np.polyfit(2.0 * np.arange(k), z[:k, 0].numpy(), 1)
+        assert found[k - 1].tolist() == pytest.approx([level + slope * 2 * (k - 1), slope], abs=1e-9)
 
 
 @given(st.floats(0.05, 0.99), st.floats(0.02, 1.9))
@@ -275,6 +291,7 @@ def test_after_a_long_gap_it_starts_anew():
         (lambda: AlphaBetaBank(LINE, SENSOR, period=0.0), "period"),
         (lambda: AlphaBetaBank(LINE, SENSOR, temperature=-1.0), "temperature"),
         (lambda: gains.kalata(0.0), "index"),
+        (lambda: gains.critically_damped(1.5), "theta"),
         (lambda: level_then_weave("many"), "outliers"),
     ],
 )

@@ -119,6 +119,7 @@ class AlphaBeta(ConstantGainFilter[AlphaBetaState]):
             dimensions and orders count.
         sensor: a ``Position``.
         gains: of the filter; ``torchfra.filters.alphabeta.gains`` has designs.
+        expanding: use the gains of a least-squares line until they have fallen to ``gains`` (two gains only).
         period: seconds between measurements for which the gains are designed; shorter steps have smaller gains.  If
             steps differ much, constant gains are not stable without it; it should be near the longest step.  None for
             steps that hardly differ.
@@ -129,16 +130,27 @@ class AlphaBeta(ConstantGainFilter[AlphaBetaState]):
     Source: Kalata (1984); Bar-Shalom, Li & Kirubarajan (2001), section 6.5.
     """
 
-    def __init__(self, motion: Motion, sensor: Sensor, gains: Gains, *, period: Value | None = None) -> None:
+    def __init__(
+        self,
+        motion: Motion,
+        sensor: Sensor,
+        gains: Gains,
+        *,
+        expanding: bool = False,
+        period: Value | None = None,
+    ) -> None:
         super().__init__(motion, sensor, period)
         if (gains.gamma is not None and motion.orders == 2) or not design.stable(gains):
             more = "" if motion.orders == 2 else ", or these and gamma"
             raise ValueError(f"gains: expected stable alpha and beta{more}, received {gains}")
+        if expanding and gains.gamma is not None:
+            raise ValueError("expanding: expected two gains, received three")
         self.alpha = Hyper(gains.alpha, constraints.unit_interval, name="alpha")
         self.beta = Hyper(gains.beta, constraints.interval(0.0, 4.0), name="beta")
         self.gamma = (
             None if gains.gamma is None else Hyper(gains.gamma, constraints.nonnegative, finite=True, name="gamma")
         )
+        self.expanding = expanding
 
     def begin(self, belief: Gaussian) -> AlphaBetaState:
         """The state before the first measurement."""
@@ -159,9 +171,12 @@ class AlphaBeta(ConstantGainFilter[AlphaBetaState]):
         return state, record(Gaussian(mean, root), residual, frame, residual_spread(rows, std), None)
 
     def _gains(self, since: Tensor, used: Tensor) -> list[Tensor]:
-        """Gains of this step: those of a start for the first two measurements, smaller for short steps."""
+        """Gains of this step: larger for the first measurements, smaller for short steps."""
         gains = [h(since).unsqueeze(-1) for h in (self.alpha, self.beta)]
         gains += [] if self.gamma is None else [self.gamma(since).unsqueeze(-1) / 2]
+        if self.expanding:
+            line = design.expanding_memory(used + 1)
+            gains = [torch.maximum(*pair) for pair in zip(gains, line[:2], strict=True)]
         return startup_gains(short_step_gains(gains, since, self.period), used)
 
 

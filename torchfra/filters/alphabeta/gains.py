@@ -77,6 +77,33 @@ def levels(orders: int = 2) -> Gains:
     return Gains(alpha, beta, torch.nn.functional.pad(three.gamma, (0, 1)))
 
 
+def benedict_bordner(alpha: Value) -> Gains:
+    """Gains that minimise a weighted sum of noise and transient errors.  Source: Benedict & Bordner (1962).
+
+    Raises:
+        ValueError: ``alpha`` not in (0, 1].
+    """
+    alpha = _as_share("alpha", alpha)
+    return Gains(alpha, alpha.square() / (2 - alpha))
+
+
+def critically_damped(theta: Value) -> Gains:
+    """Gains of fading memory: both poles at ``theta``, in (0, 1).  Source: Morrison (1969).
+
+    Raises:
+        ValueError: ``theta`` not in (0, 1).
+    """
+    theta = _as_share("theta", theta)
+    if bool((theta == 1).any()):
+        raise ValueError(f"theta: expected a value below 1, which would use no measurement, received {theta.tolist()}")
+    return Gains(1 - theta.square(), (1 - theta).square())
+
+
+def expanding_memory(k: Tensor) -> Gains:
+    """Gains for measurement ``k = 1, 2, ...``, by which the estimate is the least-squares line through all so far."""
+    return Gains(2 * (2 * k - 1) / (k * (k + 1)), torch.where(k > 1, 6 / (k * (k + 1)), 0.0))
+
+
 def variances(alpha: Tensor, beta: Tensor) -> Variances:
     """Variances by white measurement noise.  Source: Bar-Shalom, Li & Kirubarajan (2001), section 6.5."""
     scale = alpha * (4 - 2 * alpha - beta)
@@ -101,3 +128,11 @@ def stable(gains: Gains) -> bool:
     eye = torch.eye(k, dtype=torch.float64)
     step = (eye - gain.double().unsqueeze(-1) * eye[0]) @ transition
     return bool((torch.linalg.eigvals(step).abs().amax(-1) < 1).all()) and bool((gain > 0).all())
+
+
+def _as_share(name: str, value: Value) -> Tensor:
+    """A value above 0 and at most 1, as a tensor."""
+    value = as_numbers(value, name).double()
+    if not bool(((value > 0) & (value <= 1)).all()):
+        raise ValueError(f"{name}: expected a value above 0 and at most 1, received {value.tolist()}")
+    return value
