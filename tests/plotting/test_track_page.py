@@ -20,9 +20,10 @@ def charts(text):
     return [json.loads(found) for found in re.findall(r'<script type="application/json">(.*?)</script>', text, re.S)]
 
 
-def test_a_page_has_a_chart_of_each_target_and_needs_nothing_else():
+def test_a_page_has_a_chart_of_all_targets_and_one_of_each_and_needs_nothing_else():
     text = page.page([straight(30, name="a"), straight(20, name="b")])
-    first, second = charts(text)
+    every, first, second = charts(text)
+    assert [line["name"] for line in every["data"]] == ["a", "b"]
     assert "30 fixes" in first["layout"]["title"]["text"]
     assert "20 fixes" in second["layout"]["title"]["text"]
     assert len(charts(page.page([straight(20)]))) == 1

@@ -23,7 +23,7 @@ from torchfra.cleaning.outputs.summary import (
     summary,
 )
 from torchfra.cleaning.outputs.view import SURE, Band, View, beyond, placed, view
-from torchfra.pictures import BLUE, BROWN, GREY, ORANGE, PALE_BLUE, RED
+from torchfra.pictures import APART, BLUE, BROWN, GREY, ORANGE, PALE_BLUE, RED
 from torchfra.running.atomic_write import write_text
 from torchfra.tables import printable
 
@@ -91,7 +91,7 @@ def script_beside(path: Path) -> Path:
 
 
 def write(results: Sequence[Cleaned], path: Path, *, share: bool = True) -> None:
-    """Writes a page with a table of all targets, and the chart of each, which is drawn when opened.
+    """Writes a page with a map and a table of all targets, and the chart of each, which is drawn when opened.
 
     Args:
         results: of the targets.
@@ -122,7 +122,7 @@ def page(results: Sequence[Cleaned], beside: Path | None = None) -> str:
         for i, (of, cleaned) in enumerate(zip(every, results, strict=True))
     ]
     if len(results) > 1:
-        sections = [_table(results, every), *sections]
+        sections = [_section("all", "all targets", overview(results), opened=True), _table(results, every), *sections]
     read = dict.fromkeys(note for cleaned in results for note in cleaned.recording.source.notes)
     said = report(results)[1:] if len(results) == 1 else sentences_on_all(results)
     lines = [f"Read: {'; '.join(read)}", *said, *settings_lines(results)] if read else [*said, *settings_lines(results)]
@@ -188,6 +188,19 @@ def chart(cleaned: Cleaned) -> Chart:
         for begin, end in track.shades
     ]  # fmt: skip
     return Chart(_map(track, cleaned) + [line for _, lines, _ in panels for line in lines], layout)
+
+
+def overview(results: Sequence[Cleaned]) -> Chart:
+    """All tracks on one map."""
+    views = [view(cleaned) for cleaned in results]
+    metres = max(track.metres for track in views)
+    data = [
+        _scatter(1, *(track.path * track.metres / metres).T, name=cleaned.recording.name, colour=APART[i % len(APART)])
+        for i, (cleaned, track) in enumerate(zip(results, views, strict=True))
+    ]
+    unit = "km" if metres > 1 else "m"
+    east, north = ({"title": {"text": f"{way}, {unit}"}} for way in ("east", "north"))
+    return Chart(data, _layout(f"{len(results)} tracks") | {"xaxis": east, "yaxis": north | {"scaleanchor": "x"}})
 
 
 def _map(track: View, cleaned: Cleaned) -> list[dict[str, Any]]:
