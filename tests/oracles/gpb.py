@@ -116,7 +116,7 @@ class OutlierModes(NamedTuple):
     transitions: list[Callable[[int], Array]] | None = None  # beside it: F (n,n) of every motion at step k
     noise: tuple[float, float] | None = None  # what is learned of it: std of its log variance, and measurements kept
     least: float = 0.5  # factor on the stated variance below which the noise is not
-    unreliable: float = 0.003  # probability of a device that measures large outliers half of the time
+    unreliable: float = 0.005  # probability of a device that measures large outliers half of the time
     line: Any = None  # the measurement as a `Line`, for beliefs whose points are far off any
 
     def over(self, seconds: float) -> Array:

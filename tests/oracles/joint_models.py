@@ -104,11 +104,13 @@ def regimes(
             beliefs[mode, m] = matched([(w, *b) for w, b in zip(parts_of, found, strict=True)])
         dirty = [w * np.exp(s.log_regimes[1]).sum() for w, s in parts]
         outlier = sum(w / sum(dirty) * s.outlier for w, (_, s) in zip(dirty, parts, strict=True))
+        modes = np.array([w * np.exp(s.log_regimes).sum(1) for w, s in parts])
+        unreliable = sum(w[:, None] * s.unreliable for w, (_, s) in zip(modes / modes.sum(0), parts, strict=True))
         nothing = np.full_like(parts[0][1].last, np.nan)  # no measurement is one target's alone
         count = -np.log2(sum(w * 0.5**s.count for w, s in parts))
         wider = sum(w * s.wider for w, s in parts)
         with np.errstate(divide="ignore"):
             logs = np.log(chances)
-        return gpb.State(beliefs, logs, np.asarray(outlier), nothing, count=count, wider=wider)
+        return gpb.State(beliefs, logs, np.asarray(outlier), nothing, np.asarray(unreliable), count=count, wider=wider)
 
     return Target(gpb.start(mean, P, r, q, prior_outlier, prior_inflation), step, merge)

@@ -12,7 +12,7 @@ from torchfra import presets
 
 def run(name, steps, count, outliers=True, **options):
     """Means of the filter and of the particles."""
-    f = presets.gpb(MOTION, SENSORS[name], **VALUES | {"separate_levels": 0} | options)
+    f = presets.gpb(MOTION, SENSORS[name], **VALUES | {"separate_levels": 0, "unreliable": 0.0} | options)
     z = measured(name, outliers=outliers)[0, 2 : 2 + steps]
     with torch.no_grad():
         return f(z, PRIOR).mean, particles.particle_filter(f, z, PRIOR, None, count, 0, 1.0)

@@ -89,7 +89,7 @@ def gpb(
     outlier_sizes: Values = (8.77, 54.1, 1230.0, 21000.0),
     outlier_shares: Values = (0.35, 0.35, 0.15, 0.15),
     outlier_offsets: Values | None = None,
-    unreliable: Value = 0.003,
+    unreliable: Value = 0.005,
     prior_outlier: Value = 0.001,
     prior_inflation: Value = 100.0,
     adaptive_largest_size: bool = True,
