@@ -182,15 +182,37 @@ def test_a_form_of_digits_is_read_of_numbers_too(walk, dtype):
     np.testing.assert_allclose(cleaned["clean_speed"], same["clean_speed"], rtol=1e-6)
 
 
-def test_points_of_a_geodataframe_are_refused_with_the_columns_to_add(walk):
+def points_of(walk, crs):
     geopandas = pytest.importorskip("geopandas")
     time, _, measured = walk
     latitude, longitude, _ = to_geodetic(measured, ORIGIN)
-    points = geopandas.GeoDataFrame({"time": time}, geometry=geopandas.points_from_xy(longitude, latitude, crs=4326))
-    with pytest.raises(ValueError, match=r"hand over data\.assign\(lat=data\.to_crs\(4326\)"):
-        torchfra.clean(points)
-    data = points.assign(lat=points.to_crs(4326).geometry.y, lon=points.to_crs(4326).geometry.x)
-    assert np.isfinite(torchfra.clean(data, lat="lat", lon="lon", **settings())["clean_latitude"]).all()
+    points = geopandas.GeoSeries.from_xy(longitude, latitude, crs=4326).to_crs(crs)
+    when = pandas.to_datetime(1_600_000_000 + time, unit="s")
+    return geopandas.GeoDataFrame({"traj_id": "a", "time": when}, geometry=points)
+
+
+def test_points_are_cleaned_in_their_own_coordinate_reference_system(walk):
+    points = points_of(walk, 32632)
+    plain = points.to_crs(4326)
+    degrees = pandas.DataFrame({"time": points["time"], "lat": plain.geometry.y, "lon": plain.geometry.x})
+    points.loc[5, "geometry"] = None
+    degrees.loc[5, ["lat", "lon"]] = np.nan
+    cleaned, expected = torchfra.clean(points, **settings()), torchfra.clean(degrees, **settings())
+    assert type(cleaned) is type(points)
+    assert cleaned.geometry.equals(points.geometry)
+    assert cleaned["clean_geometry"].crs == points.crs
+    assert cleaned.loc[5, "clean_geometry"] is None
+    back = cleaned["clean_geometry"].to_crs(4326)
+    np.testing.assert_allclose(back.y, expected["clean_latitude"], atol=1e-9)
+    np.testing.assert_allclose(back.x, expected["clean_longitude"], atol=1e-9)
+
+
+def test_what_geometry_cannot_be_cleaned_is_said(walk):
+    points = points_of(walk, 4326)
+    with pytest.raises(ValueError, match=r"data: expected points with a coordinate reference system \(set_crs\)"):
+        torchfra.clean(points.set_crs(None, allow_override=True))
+    with pytest.raises(ValueError, match="data: expected points as geometry, received Polygon"):
+        torchfra.clean(points.set_geometry(points.geometry.to_crs(3857).buffer(1.0)))
 
 
 def test_a_file_and_its_recordings_are_cleaned_to_a_list(walk, tmp_path):

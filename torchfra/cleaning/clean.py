@@ -29,6 +29,7 @@ PREFIX = "clean_"
 """In front of the names of columns that are added to a table."""
 _PLACES = {"x", "y", "z", "lat", "lon"}
 """Arguments that name the columns of positions."""
+_LATITUDE, _LONGITUDE = "latitude", "longitude"
 _TIMES = ("datetime64", "timedelta64")
 """Types of an index with times."""
 _LEFT_OUT = ("row", "id", "time", "seconds")
@@ -53,9 +54,9 @@ def clean(
     """Cleans tracks: estimates of positions with their covariances, outliers and manoeuvres.
 
     Args:
-        data: the path of a file; a ``DataFrame`` of pandas or polars; ``(time (k,), position (k, d))``, seconds or
-            moments that increase, and metres in 2 or 3 dimensions, where missing NaN; or recordings of
-            ``torchfra.readers.read``.
+        data: the path of a file; a ``DataFrame`` of pandas or polars, or a ``GeoDataFrame`` of points in any coordinate
+            reference system; ``(time (k,), position (k, d))``, seconds or moments that increase, and metres in 2 or 3
+            dimensions, where missing NaN; or recordings of ``torchfra.readers.read``.
         filter: its name, one of ``catalogue.track_filters()``.
         bank: kind of targets: ``"aircraft"``, ``"ship"``, ``"vehicle"``, ``"person"``, ``"marine"`` (what swims),
             ``"animal"`` or ``"bird"``, or a ``Bank`` of motions; None takes what the
@@ -77,7 +78,8 @@ def clean(
         For a ``DataFrame`` a copy with its index and columns, and new columns ``clean_latitude`` or ``clean_x``, ...,
         ``clean_speed``, ``clean_outlier``, ``clean_flag`` and others: positions in the units of the input, all else in
         m and s.  Rows that hold no fix, or one at the time of another, have NaN there.  Its ``attrs["torchfra"]`` says
-        in lines what was read as what, and what became of it (not of polars). For arrays a ``Cleaned``, and
+        in lines what was read as what, and what became of it (not of polars).  A ``GeoDataFrame`` stays one
+        and gets ``clean_geometry`` too, points in its own coordinate reference system.  For arrays a ``Cleaned``, and
         for a path or recordings a list of them, one for each target.
 
     Raises:
@@ -97,13 +99,13 @@ def clean(
     if _is_frame(data):
         if dt is not None:
             raise ValueError(f"dt: expected None for a DataFrame, whose rows are kept, received {dt}")
-        if hasattr(data, "to_crs") and not words.keys() & _PLACES:
-            raise ValueError("data: expected columns of positions, received points of a GeoDataFrame: hand over "
-                             "data.assign(lat=data.to_crs(4326).geometry.y, lon=data.to_crs(4326).geometry.x), and say "
-                             "lat='lat', lon='lon'")  # fmt: skip
-        recordings = read_sheet(_sheet_of_frame(data), "DataFrame", **words)
+        points = None if words.keys() & _PLACES else _points(data)
+        table = data if points is None else data.drop(columns=points.name).assign(**_coordinates(points))
+        reading = words if points is None else {"lat": _LATITUDE, "lon": _LONGITUDE, **words}
+        recordings = read_sheet(_sheet_of_frame(table), "DataFrame", **reading)
         results = clean_tracks(recordings, **settings)
         joined = _joined(data, results)
+        joined = joined if points is None else _with_points(joined, points)
         joined.attrs["torchfra"] = "\n".join([*recordings[0].source.notes, *report(results, verbose=True)])
         return joined
     if isinstance(data, Sequence) and data and all(isinstance(one, Recording) for one in data):
@@ -124,6 +126,40 @@ def _is_frame(data: object, library: str = "pandas") -> bool:
     """Whether data is a ``DataFrame`` of pandas, or of another library; does not import it."""
     module = sys.modules.get(library)
     return module is not None and isinstance(data, module.DataFrame)
+
+
+def _points(frame: object) -> Any:
+    """The points of a ``GeoDataFrame``; None for other tables, without an import of geopandas.
+
+    Raises:
+        ValueError: other geometries than points, or no coordinate reference system.
+    """
+    geopandas = sys.modules.get("geopandas")
+    if geopandas is None or not isinstance(frame, geopandas.GeoDataFrame) or frame.active_geometry_name is None:
+        return None
+    points = frame.geometry
+    others = sorted(set(points.geom_type.dropna()) - {"Point"})
+    if others:
+        raise ValueError(f"data: expected points as geometry, received {', '.join(others)}")
+    if points.crs is None:
+        raise ValueError("data: expected points with a coordinate reference system (set_crs), received none")
+    return points
+
+
+def _coordinates(points: Any) -> dict[str, Any]:
+    """Degrees, and metres of altitude where there are any, as columns; NaN where a point is missing."""
+    degrees = points.to_crs(4326)
+    columns = {_LATITUDE: degrees.y, _LONGITUDE: degrees.x}
+    return columns | {"altitude": degrees.z} if points.has_z.any() else columns
+
+
+def _with_points(frame: Any, points: Any) -> Any:
+    """A cleaned table with the cleaned points, in the coordinate reference system of the recorded ones."""
+    series = sys.modules["geopandas"].GeoSeries
+    where = [frame[PREFIX + name] for name in (_LONGITUDE, _LATITUDE)]
+    height = frame[f"{PREFIX}altitude"] if points.has_z.any() else None
+    cleaned = series.from_xy(*where, height, crs=4326).where(where[0].notna()).to_crs(points.crs)
+    return frame.assign(**{f"{PREFIX}geometry": cleaned})
 
 
 def _sheet_of_frame(frame: Any) -> Sheet:
