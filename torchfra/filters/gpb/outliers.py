@@ -465,7 +465,7 @@ class Outliers(Part):
                 dimension is that of the blocks before this one, 1 for the first block.
             residual: ``(1 or 2, R, 2, ..., m)``.
             missing: ``(..., m)`` 1 where missing, 0 where measured.
-            modes: of the block, each ``(1, 1, 2, ...)`` or ``(...)``.
+            modes: of the block, each ``(1, 1, 2, ...)``.
             noise: of the block.
             change: probability that an outlier has the offset of the step before, and the measurement's change since.
         """
@@ -479,9 +479,8 @@ class Outliers(Part):
             none, log_none = first.of(0), log_first[0]
         if not self.outliers_update:
             updated = updated.before_prior(1, len(stds) - 1)
-        single = (
-            len(self.blocks) == 1
-        )  # given that some block is an outlier, a single one is: no inlier among its modes
+        # Given that some block is an outlier, a single one is: no inlier among its modes.
+        single = len(self.blocks) == 1
         inliers = [] if single else [(log_inlier + torch.log1p(-modes.outlier)).unsqueeze(0)]
         shares = noise.shares + modes.begun * (noise.large - noise.shares)
         unreliable = safe_divide(modes.begun * noise.large + modes.lasted * noise.shares, shares)

@@ -103,11 +103,8 @@ def _prior(
     measured = after.measured > 0
     log_weight = past.log_weights.movedim((-2, -1), (0, 1))  # (2, R, ...)
     regime = log_weight + regimes.transition(log_weight.transpose(0, 1), dt, measured)
-    unreliable, relaxation = (
-        outliers.unreliable_next(past.outlier, past.unreliable),
-        outliers.relaxation(past.relaxation, dt),
-    )
-    log_mode, _ = outliers.predict(past.outlier, unreliable, relaxation, measured)
+    unreliable = outliers.unreliable_next(past.outlier, past.unreliable)
+    log_mode, _ = outliers.predict(past.outlier, unreliable, outliers.relaxation(past.relaxation, dt), measured)
     if after.log_same_offset is not None:
         same_offset = after.log_same_offset.movedim(-1, 0)
         none = torch.zeros_like(same_offset)
