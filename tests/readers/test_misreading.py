@@ -374,3 +374,38 @@ def test_a_decimal_comma_where_points_are_expected_names_the_option(write):
     with pytest.raises(ValueError, match=r"received '0,50', whose sign may part thousands or decimals.*option decimal"):
         read(path)
     np.testing.assert_allclose(read(path, decimal=",")[0].position[:, 0], np.arange(30) + 0.5)
+
+
+# ---------------------------------------------------------------- radians, and accuracies that nobody knows
+
+
+def degrees_at(lat, lon, step, columns="time,lat,lon"):
+    return table(columns, [(i, f"{lat + i * step:.9f}", f"{lon + i * step:.9f}") for i in range(40)])
+
+
+def test_radians_that_are_called_latitudes_are_refused_and_read_as_what_they_are_said_to_be(write):
+    path = write(degrees_at(0.82, 0.15, 2e-6))
+    with pytest.raises(ValueError, match=r"looks like radians: write degrees, or say lat='lat', lon='lon' if"):
+        read(path)
+    (track,) = read(path, lat="lat", lon="lon")
+    assert track.position[-1] == pytest.approx([39 * 2e-6 * 111_300, 39 * 2e-6 * 110_600], rel=1e-2)
+
+
+@pytest.mark.parametrize(("place", "step", "columns"), [
+    ((0.0, 0.0), 1e-5, "time,lat,lon"), ((1.2, 2.5), 2e-4, "time,lat,lon"),
+    ((1.2, 2.5), 1e-6, "time,lat [deg],lon [deg]"),
+])  # fmt: skip
+def test_true_places_near_the_equator_are_read(write, place, step, columns):
+    (track,) = read(write(degrees_at(*place, step, columns)))
+    assert track.origin[:2] == pytest.approx(place)
+
+
+@pytest.mark.parametrize(("column", "unknown"), [("hdop", "99.99"), ("eph", "65535"), ("hacc", "4294967295")])
+def test_an_accuracy_that_a_receiver_does_not_know_is_missing_and_it_is_said(write, column, unknown):
+    rows = [(i, 47 + i * 1e-4, 8, unknown if i % 4 == 0 else "1.5") for i in range(40)]
+    (track,) = read(write(table(f"time,lat,lon,{column}", rows)))
+    assert np.ptp(track.sigma) == 0
+    assert track.repairs == {"sigmas filled with their median": 10}
+    assert f"{unknown} is no accuracy" in " ".join(track.source.notes)
+    (track,) = read(write(table(f"time,lat,lon,{column}", [(*row[:3], unknown) for row in rows])))
+    assert track.sigma is None

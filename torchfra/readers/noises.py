@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from torchfra.readers.columns import HEAD, Array, Head, Kind, word_of
+from torchfra.readers.columns import HEAD, Array, Head, Kind, values_of, word_of
 from torchfra.readers.names import DEGREES, LENGTHS, METRES, found, in_brackets, name_words, plain
 from torchfra.readers.names import unit as unit_of
 
@@ -26,6 +26,10 @@ Source: Costa et al. (2010), PLoS ONE 5, e8677, of seals and sea lions; Z is as 
 aniMotum (Jonsen et al., 2023).
 """
 _CLASS = Kind("a class of Argos", unit=_OF_A_RADIUS, words=tuple(_CLASSES.items()))
+_UNKNOWN = (65_535.0, 4_294_967_295.0)
+"""What receivers write for an accuracy that they do not know: a counter that is full."""
+_NO_HDOP = (99.0, 99.9, 99.99, 100.0)
+"""The same for an HDOP."""
 _ELLIPSE = ("semi_major", "semi_minor", "orientation")
 _COVARIANCE = re.compile(r"(?:(?:field|gps|gnss|fix|pose|position) )*covariance ?(?P<place>[0-9]{1,2})")
 """Words of names of columns with the entries of a covariance, row by row, as robots write them."""
@@ -114,14 +118,22 @@ def noise_of(
             continue  # 0 everywhere says that nothing is known; a longer column may say it further on
         if name in ("hdop", "horizontaldilutionofprecision"):
             factor = RANGE_ERROR * _PER_AXIS
-            said = f"sigma: {column} times {factor:.1f} m (ranges good to {RANGE_ERROR:g} m)"
-            return Noise({column: Kind(unit=factor)}, (said,))
+            said = f"sigma: {column} times {factor:.1f} m (ranges good to {RANGE_ERROR:g} m){_unknown(cells, _NO_HDOP)}"
+            return Noise({column: Kind(unit=factor, absent=_NO_HDOP)}, (said,))
         if "acc" in name and not ships:
             factor = _OF_A_RADIUS * metres(column, 1.0)
-            return Noise({column: Kind(unit=factor)}, (f"sigma: {column} times {_OF_A_RADIUS:.2f} (a radius of 68 %)",))
+            said = f"sigma: {column} times {_OF_A_RADIUS:.2f} (a radius of 68 %){_unknown(cells, _UNKNOWN)}"
+            return Noise({column: Kind(unit=factor, absent=_UNKNOWN)}, (said,))
         if "acc" not in name:
-            return Noise({column: Kind(unit=metres(column, unit))}, (f"sigma: {column}, per axis",))
+            said = f"sigma: {column}, per axis{_unknown(cells, _UNKNOWN)}"
+            return Noise({column: Kind(unit=metres(column, unit), absent=_UNKNOWN)}, (said,))
     return Noise({})
+
+
+def _unknown(cells: Iterable[Any], numbers: tuple[float, ...]) -> str:
+    """What is said where an accuracy is not known."""
+    there = sorted({*values_of(cells)} & {*numbers})
+    return f"; {there[0]:.10g} is no accuracy" if there else ""
 
 
 def _variances(head: Head) -> list[str]:

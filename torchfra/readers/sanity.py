@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -22,6 +23,12 @@ _RESCUE = "111"
 """How numbers of aircraft of search and rescue begin, which receivers of ships hear."""
 _ACROSS = 30.0
 """Speeds are means over so many seconds, so that noise does not count."""
+_IN_DEGREES = ("GPX", "KML", "NMEA", "GeoJSON", "FIT", "IGC")
+"""What is said of formats that have degrees by their standards."""
+_RADIANS, _NEAR = (math.pi / 2, math.pi), 0.06
+"""Latitude and longitude at most, rad, and what both are below within 3.5 degrees of 0, 0."""
+_SLOW = 340.0 * math.pi / 180
+"""Speed of radians that are taken as degrees, m/s, if a target is no faster than sound."""
 _DEGREES, _AS_DEGREES = np.array([180.0, 90.0]), (2e-6, 5e-3)
 """Longitude and latitude at most, and degrees a second of what moves by 0.2 to 500 m/s."""
 
@@ -32,11 +39,13 @@ def checked(recordings: Sequence[Recording], layout: Layout) -> list[Recording]:
     Raises:
         ValueError: no recording that is long enough to be judged has possible speeds, or some with a fifth of the fixes
             have not, and a column that was not read may part them; or x and y are degrees, or have another unit than
-            metres.
+            metres; or latitudes and longitudes may be radians.
     """
     options, source = layout.stated, layout.source
     if not layout.degrees and not options.units:
         _check_metres(recordings, layout)
+    if layout.degrees and options.lat is None and source.word == "target":
+        _check_degrees(recordings, layout)
     if options.time_format:
         return list(recordings)
     wrong = {recording: said for recording in recordings if (said := _impossible(recording))}
@@ -72,6 +81,19 @@ def _check_metres(recordings: Sequence[Recording], layout: Layout) -> None:
     if lies and moved > 5 * np.median(steps) and fine.mean() > 0.5 and _AS_DEGREES[0] < max(speeds) < _AS_DEGREES[1]:
         raise AskError(f"expected metres in {x} and {y}, received what looks like degrees of longitude and latitude: "
                        "say ", {"lat": y, "lon": x}, "; or ", {"units": "m"}, " if they are metres")  # fmt: skip
+
+
+def _check_degrees(recordings: Sequence[Recording], layout: Layout) -> None:
+    """Refuses latitudes and longitudes without a unit that may be radians: in the Gulf of Guinea, and slow."""
+    lat, lon = layout.columns["latitude"], layout.columns["longitude"]
+    if unit(lat) or layout.source.notes[0].startswith(_IN_DEGREES):
+        return
+    for recording in recordings:
+        places = np.abs((recording.origin or (0.0, 0.0))[:2])
+        likely = len(recording.time) >= _SOME and places.max() > _NEAR and (places <= _RADIANS).all()
+        if likely and speed_across(recording) < _SLOW:
+            raise AskError(f"expected degrees in {lat} and {lon}, received what looks like radians: write degrees, or "
+                           "say ", {"lat": lat, "lon": lon}, " if they are degrees")  # fmt: skip
 
 
 def _impossible(recording: Recording) -> str:
