@@ -471,36 +471,40 @@ class Outliers(Part):
         """
         # After blocks of which some is an outlier: this one is none, or one of some size.
         stds = self.adapted(noise.sizes, residual[-1:], missing, noise.offsets)
-        updated, log_updated = update(rows[-1:], residual[-1:], stds, missing, noise.offsets)
-        inlier, log_inlier = updated.of(0), log_updated[0]
-        none, log_none = inlier, log_inlier
+        updated, density = update(rows[-1:], residual[-1:], stds, missing, noise.offsets)
+        inlier = none = updated.of(0)
+        log_none = density.log(0)
         if len(rows) > 1:  # after blocks of which none is an outlier, nor is this one
-            first, log_first = update(rows[:1], residual[:1], noise.sizes[:1].sqrt(), missing)
-            none, log_none = first.of(0), log_first[0]
+            first, of_first = update(rows[:1], residual[:1], noise.sizes[:1].sqrt(), missing)
+            none, log_none = first.of(0), of_first.log(0)
         if not self.outliers_update:
             updated = updated.before_prior(1, len(stds) - 1)
         # Given that some block is an outlier, a single one is: no inlier among its modes.
         single = len(self.blocks) == 1
-        inliers = [] if single else [(log_inlier + torch.log1p(-modes.outlier)).unsqueeze(0)]
         shares = noise.shares + modes.begun * (noise.large - noise.shares)
         unreliable = safe_divide(modes.begun * noise.large + modes.lasted * noise.shares, shares)
-        outliers = log_updated[1:] + modes.outlier.log() + safe_log(shares)
-        joint, log_ratio = torch.cat([*inliers, outliers]), None
+        log_prior = modes.outlier.log() + safe_log(shares)
+        if not single:
+            log_prior = torch.cat([torch.log1p(-modes.outlier).unsqueeze(0), log_prior])
+        joint, amplitude, log_ratio = density.exponent[single:] + log_prior, density.amplitude[single:], None
         if change is not None:  # one more mode, which the noise of two steps explains
             probability, whitened = change
-            _, log_same = update(whitened.spread, whitened.residual, (2 * noise.sizes[:1]).sqrt(), missing)
-            same = (log_same + modes.outlier.log() + safe_log(probability)).expand_as(outliers[:1])
-            without, joint = joint, torch.cat([*inliers, outliers + safe_log1p(-probability), same])
-            log_ratio = _log_ratio(log_sum(joint, 0), log_sum(without, 0))
+            _, same = update(whitened.spread, whitened.residual, (2 * noise.sizes[:1]).sqrt(), missing)
+            log_without = log_sum(joint + 2 * amplitude.log(), 0)
+            inliers, outliers = joint.split([len(joint) - len(shares), len(shares)])
+            log_same = (same.exponent + modes.outlier.log() + safe_log(probability)).expand_as(joint[:1])
+            joint = torch.cat([inliers, outliers + safe_log1p(-probability), log_same])
+            amplitude = torch.cat([amplitude, same.amplitude.expand_as(amplitude[:1])])
             updated = updated.before_prior(len(stds), 1)
             unreliable = torch.cat([unreliable, modes.unreliable.expand_as(unreliable[:1])])
+            log_ratio = _log_ratio(log_sum(joint + 2 * amplitude.log(), 0), log_without)
 
-        roots, log_some = share_roots(joint)
+        roots, log_some = share_roots(joint, amplitude)
         some = updated.merged(roots)
         more = some.scale_tril.shape[-1] - none.scale_tril.shape[-1]
         none = none._replace(scale_tril=pad(none.scale_tril, (0, more)))
         both = Gaussian(*[torch.cat(x) for x in zip(none, some, strict=True)])
-        each = roots[len(inliers) :].square()
+        each = roots[-len(unreliable) :].square()
         outlier = torch.ones_like(log_some) if single else each.sum(0)
         unreliable = (each * unreliable).sum(0)
         return Weighed(

@@ -13,6 +13,22 @@ from torchfra.gaussian.mixture import matched
 from torchfra.types import Gaussian
 
 
+class Density(NamedTuple):
+    """Of a measurement, constants left out, for ``C`` sizes of its noise: ``amplitude^2 exp(exponent)``.
+
+    So what shares weights among the sizes takes no logarithm of each.
+    """
+
+    exponent: Tensor
+    """``(C, ...)``"""
+    amplitude: Tensor
+    """``(C, ...)`` above 0."""
+
+    def log(self, i: int) -> Tensor:
+        """Its log ``(...)`` for one size."""
+        return self.exponent[i] + 2 * self.amplitude[i].log()
+
+
 class Updated(NamedTuple):
     """The unknowns after a block of a measurement, for ``C`` sizes of its noise."""
 
@@ -54,7 +70,7 @@ class Updated(NamedTuple):
 
 def update(
     rows: Tensor, residual: Tensor, noise: Tensor, missing: Tensor, offsets: Tensor | None = None
-) -> tuple[Updated, Tensor]:
+) -> tuple[Updated, Density]:
     """The update of unknowns by the elements of a measurement of independent noise, for ``C`` sizes of noise.
 
     Args:
@@ -66,7 +82,7 @@ def update(
         offsets: ``(C, ...)`` mean of the noise, in units of what the sensor states; None for 0.
 
     Returns:
-        The posterior, and the log density ``(C, ...)`` of the measurement, constants left out.
+        The posterior, and the density of the measurement.
     """
     m, k = rows.shape[-2:]
     if offsets is not None:
@@ -75,7 +91,7 @@ def update(
     return (_together if m == k <= 2 else _sequential)(rows, residual, noise, missing)
 
 
-def _together(rows: Tensor, residual: Tensor, noise: Tensor, missing: Tensor) -> tuple[Updated, Tensor]:
+def _together(rows: Tensor, residual: Tensor, noise: Tensor, missing: Tensor) -> tuple[Updated, Density]:
     """``update`` by one element or two, as many as there are unknowns, without a root for each size.
 
     Let ``N`` be the adjugate of the rows ``L``, ``T`` the sum of the squares of their entries, and ``1/s`` the variance
@@ -106,11 +122,11 @@ def _together(rows: Tensor, residual: Tensor, noise: Tensor, missing: Tensor) ->
     factor = 1 / (share + across)
     shares = torch.stack([factor, s * factor][:k])
     distance = times * (times * (factor * distance))
-    log_density = -0.5 * (distance + (squares.log1p() - factor.log())) - (1 - missing).sum(-1) * noise.log()
-    return Updated((times * inverse * factor)[..., None] * mean, roots, shares), log_density
+    density = Density(-0.5 * distance - (1 - missing).sum(-1) * noise.log(), (factor.sqrt() / width[..., 0]).sqrt())
+    return Updated((times * inverse * factor)[..., None] * mean, roots, shares), density
 
 
-def _sequential(rows: Tensor, residual: Tensor, noise: Tensor, missing: Tensor) -> tuple[Updated, Tensor]:
+def _sequential(rows: Tensor, residual: Tensor, noise: Tensor, missing: Tensor) -> tuple[Updated, Density]:
     """``update`` by one element after the other.
 
     Each row is one more column of the joint root, of length ``noise`` at first, which plane rotations with one column
@@ -144,7 +160,7 @@ def _sequential(rows: Tensor, residual: Tensor, noise: Tensor, missing: Tensor) 
     for i in range(0, m, 2):
         log_density = log_density - reduce(torch.mul, stds[i : i + 2]).log()
     root = torch.stack(torch.broadcast_tensors(*columns), -1)
-    return Updated(mean.movedim(0, -1), root.movedim(0, -2), None), log_density
+    return Updated(mean.movedim(0, -1), root.movedim(0, -2), None), Density(log_density, torch.ones_like(log_density))
 
 
 def small_power(dtype: torch.dtype) -> float:
