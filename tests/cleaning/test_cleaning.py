@@ -393,14 +393,6 @@ def test_other_filters_run_with_what_was_found(name):
     assert ("not smoothed" in " ".join(one.found.notes)) == (name == "alphabeta")
 
 
-@pytest.mark.slow
-def test_compiled_a_track_is_cleaned_alike():
-    recording, _, _ = recorded(13, steps=30)
-    plain, fast = (clean_tracks([recording], filter="srckf", compile=compiled)[0] for compiled in (False, True))
-    np.testing.assert_allclose(fast.position, plain.position, rtol=1e-9)
-    np.testing.assert_allclose(fast.covariance, plain.covariance, rtol=1e-7, atol=1e-9)
-
-
 def test_a_bank_of_your_own_is_used_as_it_is():
     recording, _, _ = recorded(15, steps=60, outliers=0.0)
     bank = Bank([ConstantVelocity(0.1, continuous=True), CoordinatedTurn(0.035, 0.1, continuous=True)])

@@ -64,7 +64,7 @@ def compare(tmp_path, *options):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("short_tracks")
-def test_commands_compile_when_it_is_worthwhile_and_say_so(noisy_track, tmp_path, capsys, monkeypatch):
+def test_compare_compiles_when_it_is_worthwhile(tmp_path, monkeypatch):
     calls = []
 
     def choose(wanted, worthwhile, tell):
@@ -72,18 +72,10 @@ def test_commands_compile_when_it_is_worthwhile_and_say_so(noisy_track, tmp_path
         return False
 
     monkeypatch.setattr("torchfra.cli.compare_command.choose", choose)
-    monkeypatch.setattr("torchfra.cli.track_command.choose", choose)
     monkeypatch.setattr("torchfra.cli.compare_command.WORTHWHILE", 10 * STEPS)
     assert compare(tmp_path, "--runs", "9", "--quiet") == 0
     assert compare(tmp_path, "--runs", "10", "--no-compile", "--quiet") == 0
-    told = ["--sigma", "25", "--q", "1", "--bank", "aircraft"]  # or each call looks for them
-    track_it = ["track", str(noisy_track), *told, "--no-plots", "--quiet", "--out", str(tmp_path / "out")]
-    assert cli.main(track_it) == 0
-    monkeypatch.setattr("torchfra.cli.track_command.WORTHWHILE", 80)
-    assert cli.main([*track_it, "--filter", "fra", "--compile"]) == 0
-    assert cli.main([*track_it, "--filter", "imm_srckf"]) == 0
-    assert cli.main(track_it) == 0
-    assert calls == [(None, False), (False, True), (None, False), (True, True), (None, True), (None, True)]
+    assert calls == [(None, False), (False, True)]
 
 
 @pytest.mark.slow
@@ -132,22 +124,21 @@ def test_compare_runs_a_scenario_through_filters(tmp_path, capsys):
 
 
 @pytest.mark.usefixtures("short_tracks")
-def test_compare_draws_the_filters_and_the_flight_that_it_is_told(tmp_path, monkeypatch):
+def test_compare_draws_the_first_filter_the_usual_one_and_the_best_others(tmp_path, monkeypatch):
     drawn = []
 
     def comparison(results, shown, dt, limit, title, mapped):
-        drawn.append((list(results), list(shown), list(mapped.estimates), mapped.number))
+        drawn.append((list(results), list(shown), list(mapped.estimates)))
         return Figure()
 
     monkeypatch.setattr(plotting, "comparison", comparison)
     arguments = ["compare", "--scenario", "bearings-outliers", "--filters", "ukf,rmckf,srckf,mr_ckf,rsrckf", "--quiet"]
     out = ["--runs", "4", "--figure", str(tmp_path / "f.png")]
-    assert cli.main([*arguments, *out, "--show", "rsrckf,ukf,mr_ckf,rmckf", "--map-run", "2"]) == 0
     assert cli.main([*arguments, *out]) == 0
-    (names, shown, mapped, number), (_, by_itself, _, _) = drawn
+    ((names, shown, mapped),) = drawn
     assert names == ["ukf", "rmckf", "srckf", "mr_ckf", "rsrckf"]
-    assert (shown, mapped, number) == (["rsrckf", "ukf", "mr_ckf", "rmckf"], ["rsrckf", "ukf", "mr_ckf"], 2)
-    assert by_itself[:2] == ["ukf", "srckf"]
+    assert shown[:2] == ["ukf", "srckf"]
+    assert mapped == shown[:3]
 
 
 @pytest.mark.slow
@@ -257,14 +248,6 @@ def test_what_does_not_go_with_recorded_ranges_is_refused(walks, capsys, options
         (
             ["compare", "--scenario", "bearings-outliers", "--steps", "9"],
             "steps: expected beside files, received beside --scenario",
-        ),
-        (
-            ["compare", "--scenario", "growth", "--filters", "ukf,fra", "--show", "ukf,srckf"],
-            "show: expected 1 to 5 of ukf, fra, received ukf,srckf\n",
-        ),
-        (
-            ["compare", "--scenario", "growth", "--runs", "9", "--map-run", "9"],
-            "map-run: expected the number of a run, 0 to 8, received 9\n",
         ),
         (["compare", "--scenario", "growth", "--limit", "-1"], "limit: expected metres above 0, received -1.0\n"),
         (

@@ -51,7 +51,7 @@ def track_them(tmp_path, flights, *options):
     """The exit status of ``torchfra track`` on these flights, with results in ``out`` and ``s.json``."""
     (tmp_path / "f.json").write_text(json.dumps(flights))
     out = ["--out", str(tmp_path / "out"), "--json", str(tmp_path / "s.json")]
-    return cli.main(["track", str(tmp_path / "f.json"), "--filter", "srckf", "--no-compile", *TOLD, *out, *options])
+    return cli.main(["track", str(tmp_path / "f.json"), "--filter", "srckf", *TOLD, *out, *options])
 
 
 # ---------------------------------------------------------------- names
@@ -91,7 +91,7 @@ def test_a_strange_name_is_harmless_in_every_picture(tmp_path):
         make = list(pictures(name))[i % 5]
         assert plotting.save(make(), tmp_path / "p.png").stat().st_size > 1000
     assert track_them(tmp_path, rows("$\\frac{$") + rows("$$\ud800", 0.1)) == 0
-    assert len(list((tmp_path / "out").glob("*.png"))) == 3
+    assert len(list((tmp_path / "out").glob("*.png"))) == 2
 
 
 def test_a_name_is_shown_as_it_is_where_that_does_no_harm():
@@ -157,7 +157,7 @@ def test_one_target_that_cannot_be_drawn_does_not_stop_the_others(tmp_path, caps
     assert errors == "torchfra: error: bad: IndexError: no such line\n"
     assert [line.split()[0] for line in said.splitlines() if line.startswith(("bad", "good"))] == ["bad", "good"]
     pictures = {path.name for path in (tmp_path / "out").glob("*.png")}
-    assert pictures == {"good.png", "overview.png"}
+    assert pictures == {"good.png"}
     assert len(list((tmp_path / "out").glob("*.csv"))) == 2
 
 
@@ -306,12 +306,6 @@ def test_without_a_home_a_temporary_one_is_made(monkeypatch):
     assert home.known()
     assert stat.S_IMODE(Path.home().stat().st_mode) == 0o700
     home.shutil.rmtree(Path.home())
-
-
-def test_an_option_that_does_nothing_with_a_scenario_is_refused(capsys):
-    arguments = ["compare", "--scenario", "growth", "--runs", "3", "--map-run", "1"]
-    assert cli.main(arguments) == 2
-    assert "map-run: expected positions in two dimensions or more, received growth\n" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("option", ["figure", "print"])

@@ -13,7 +13,7 @@ from torchfra.cli import main as cli
 from torchfra.cli import page
 from torchfra.cli.plan import MOST_PICTURES, plan
 
-QUICK = ["--filter", "srckf", "--sigma", "25", "--q", "1", "--bank", "aircraft", "--no-compile"]
+QUICK = ["--filter", "srckf", "--sigma", "25", "--q", "1", "--bank", "aircraft"]
 
 
 @pytest.fixture
@@ -88,26 +88,17 @@ def test_the_input_is_never_written_to(flight, tmp_path, capsys, monkeypatch):
     assert names(tmp_path) == ["flight.csv"]
 
 
-@pytest.mark.parametrize(("count", "plots", "pictures", "overview"), [
-    (1, None, 1, False), (2, None, 2, True), (MOST_PICTURES + 1, None, 0, True), (MOST_PICTURES + 1, True, 21, True),
-    (2, False, 0, False),
+@pytest.mark.parametrize(("count", "plots", "pictures"), [
+    (1, None, 1), (2, None, 2), (MOST_PICTURES + 1, None, 0), (MOST_PICTURES + 1, True, 21), (2, False, 0),
 ])  # fmt: skip
-def test_there_is_one_picture_of_each_of_a_few_targets_and_an_overview(count, plots, pictures, overview, tmp_path):
+def test_there_is_one_picture_of_each_of_a_few_targets(count, plots, pictures, tmp_path):
     recordings = [straight(3, name=f"a {i}").recording for i in range(count)]
     for out in (tmp_path, tmp_path / "all.csv"):
         files = plan(recordings, out, None, plots)
         assert len(files.pictures) == len(set(files.pictures.values())) == pictures
-        assert (files.overview is not None) == overview
         assert len(files.tables) == (count if out == tmp_path else 1)
         beside = "" if out == tmp_path else "all" if count == 1 else "all-a_"
         assert all(path.name.startswith(beside) for path in files.pictures.values())
-
-
-def test_a_target_called_as_the_overview_keeps_its_picture(tmp_path):
-    recordings = [straight(3, name=name).recording for name in ("overview", "all", "a")]
-    for out in (tmp_path, tmp_path / "all.csv"):
-        paths = list(plan(recordings, out).paths())
-        assert len({str(path).casefold() for path in paths}) == len(paths)
 
 
 def test_a_page_is_written_beside_the_table(flight, tmp_path):

@@ -10,7 +10,7 @@ from matplotlib.text import Text
 
 from torchfra import plotting
 from torchfra.cleaning import Segment, figures
-from torchfra.cleaning.outputs.view import MOST_STD, Band, placed, view
+from torchfra.cleaning.outputs.view import Band, placed, view
 from torchfra.pictures import APART, BLUE, GREY, ORANGE, RED, REGIMES
 from torchfra.plotting.style import line_styles
 
@@ -77,11 +77,11 @@ def test_the_band_is_two_standard_deviations_across_to_each_side():
     np.testing.assert_allclose(np.linalg.norm(shown.sides[:, 0] - shown.sides[:, 1], axis=1) * 1000, 4 * std, rtol=1e-3)
 
 
-def test_panels_over_time_are_speed_altitude_innovations_and_manoeuvres_where_one_is_likely():
-    assert panels(figures.cleaned(straight(40))).keys() == {"map", "speed", "altitude", "innovation"}
+def test_panels_over_time_are_speed_altitude_and_manoeuvres_where_one_is_likely():
+    assert panels(figures.cleaned(straight(40))).keys() == {"map", "speed", "altitude"}
     flat = replace(straight(40, d=2), manoeuvre=np.linspace(0.0, 1.0, 40))
     shown = panels(figures.cleaned(flat))
-    assert shown.keys() == {"map", "speed", "innovation", "manoeuvre"}
+    assert shown.keys() == {"map", "speed", "manoeuvre"}
     (area,) = shown["manoeuvre"].collections
     assert area.get_paths()[0].get_extents().ymax == 1.0
 
@@ -89,7 +89,7 @@ def test_panels_over_time_are_speed_altitude_innovations_and_manoeuvres_where_on
 def test_manoeuvres_are_shaded_and_named_once():
     of = replace(straight(40), segments=(Segment(10, 30, "left turn", 2.5), Segment(40, 60, "climbing", 5.0)))
     shown = panels(figures.cleaned(of))
-    for name in ("speed", "altitude", "innovation"):
+    for name in ("speed", "altitude"):
         spans = [
             (p.get_x(), p.get_x() + p.get_width())
             for p in shown[name].patches
@@ -97,14 +97,6 @@ def test_manoeuvres_are_shaded_and_named_once():
         ]
         assert spans == [(10, 30), (40, 60)]
     assert texts(shown["speed"]) == ["left turn, 2.5 deg/s", "climbing, 5 m/s"]
-
-
-def test_an_innovation_beyond_the_axis_is_at_its_edge_and_counted():
-    axes = panels(figures.cleaned(straight(40)))["innovation"]
-    (triangles,) = axes.collections
-    np.testing.assert_allclose(triangles.get_offsets(), [[14.0, MOST_STD]])
-    assert axes.get_title(loc="right") == "1 outside, up to 115"  # sqrt(4e4 / 3)
-    assert axes.get_ylim() == (0, MOST_STD)
 
 
 @pytest.mark.parametrize("change", [
@@ -127,19 +119,6 @@ def test_words_on_the_map_do_not_cover_each_other():
     boxes = [Text.get_window_extent(text) for text in axes.texts]
     assert len(boxes) == 4
     assert not [1 for i, a in enumerate(boxes) for b in boxes[:i] if a.overlaps(b)]
-
-
-# ---------------------------------------------------------------- many targets
-
-
-def test_of_several_targets_few_have_names_on_the_map():
-    few = [straight(30, name=f"target {i}", off=1000.0 * i) for i in range(1, 4)]
-    shown = panels(figures.overview(few))
-    assert {f"target {i}" for i in range(1, 4)} == set(texts(shown["map"]))
-    many = [straight(30, name=f"target {i}", rejected=tuple(range(i % 5))) for i in range(60)]
-    figure = figures.overview(many)
-    assert texts(panels(figure)["map"]) == []
-    assert figure.get_suptitle() == "60 targets: 1,800 fixes, 120 rejected"
 
 
 # ---------------------------------------------------------------- colours

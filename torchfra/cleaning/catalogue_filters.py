@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 
 import torch
@@ -18,7 +17,7 @@ from torchfra.motion.bank import Bank, aircraft, people, ships, vehicles
 from torchfra.motion.polynomial import ConstantVelocity
 from torchfra.sensors.position import Position
 from torchfra.steps.records import SmoothInfo
-from torchfra.types import CompileError, Estimate, Gaussian
+from torchfra.types import Estimate, Gaussian
 
 LONGEST_GAP = 60.0
 """Seconds without a usable fix after which a filter of constant gains restarts."""
@@ -48,11 +47,7 @@ def make(name: str, d: int, sigma: Tensor, q: Tensor, period: Tensor, bank: Bank
 
 
 def estimated(f: Filter, tracks: Sequence[Steps], sigma: Tensor, settings: Settings) -> Estimate:
-    """Estimates of a filter for tracks as one batch.
-
-    Raises:
-        CompileError: it cannot be compiled, and there is no ``settings.fallback``.
-    """
+    """Estimates of a filter for tracks as one batch."""
     z, gaps, std = padded(tracks)
     n, d = f.motion.size, z.shape[-1]
     first = torch.nan_to_num(z[:, 0])
@@ -62,17 +57,6 @@ def estimated(f: Filter, tracks: Sequence[Steps], sigma: Tensor, settings: Setti
     own = None if bool((std == 1).all()) else std * sigma[:, None, None]
     arguments = {"z": z, "prior": Gaussian(mean, root.diag_embed()), "dt": gaps, "std": own}
     with torch.no_grad():
-        if settings.compile:
-            try:
-                from torchfra.compiler.llvm import binding  # only where it is needed
-
-                binding()
-                compiled = copy.copy(f).compile()
-                return (compiled.smooth if settings.smooth else compiled)(**arguments)  # type: ignore[arg-type]
-            except (CompileError, NotImplementedError) as error:
-                if settings.fallback is None:
-                    raise
-                settings.fallback(settings.filter, str(error))
         return (f.smooth if settings.smooth else f)(**arguments)  # type: ignore[arg-type]
 
 

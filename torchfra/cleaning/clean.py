@@ -46,7 +46,6 @@ def clean(
     smooth: bool = True,
     dt: float | None = None,
     repair: bool = True,
-    compile: bool = False,
     jobs: int = 1,
     max_bytes: int = MAX_BYTES,
     **words: Any,
@@ -67,7 +66,6 @@ def clean(
         dt: seconds; also estimates at every time that is a multiple of it, such as whole hours; not of a ``DataFrame``.
         repair: whether fixes with wrong time stamps are first moved along the path, where tracks show such errors: see
             ``cleaning.clean_tracks``.
-        compile: whether to run compiled, which saves time on long tracks; needs the extra ``compiler``.
         jobs: the most processes that share the work of the default filter, where there are 20,000 fixes or more for
             each; with more than 1 a script needs ``if __name__ == "__main__":``.
         max_bytes: that a file may hold, unpacked.
@@ -85,11 +83,10 @@ def clean(
     Raises:
         ValueError: the data cannot be understood, or a value is out of its range.
         ImportError: what reads a file is not installed.
-        CompileError: (a ``RuntimeError``) with ``compile``, if llvmlite is not installed.
         ChildProcessError: a process was killed, for example when memory ran out.
     """
     settings: dict[str, Any] = {"filter": filter, "bank": bank, "sigma": sigma, "q": q, "smooth": smooth, "dt": dt,
-                                "repair": repair, "compile": compile, "jobs": jobs}  # fmt: skip
+                                "repair": repair, "jobs": jobs}  # fmt: skip
     if _is_frame(data, "polars"):
         for needed in ("pandas", "pyarrow"):
             optional(needed, "a DataFrame of polars", "frames")

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchfra.cleaning.closed_form import Levels, OutlierModel
-from torchfra.cleaning.flags import LIKELY
 from torchfra.readers.columns import Array
 from torchfra.readers.recording import Recording
 
@@ -139,20 +138,6 @@ class Cleaned:
         gap = self.raw - self.position
         distance: Array = np.linalg.norm(np.column_stack([gap[:, :2], np.nan_to_num(gap[:, 2:])]), axis=1)
         return distance
-
-    @property
-    def outlier_duration(self) -> Array:
-        """``(T,)`` seconds since the first of consecutive fixes that are more likely outliers than not.
-
-        NaN where the last fix is an inlier, or the filter has no probabilities of outliers.
-        """
-        step = np.arange(len(self.time))
-        last = np.maximum.accumulate(np.where(np.isnan(self.residual), 0, step))
-        wrong = self.outlier[last] > LIKELY
-        begins = wrong & ~np.concatenate([[False], wrong[:-1]])
-        first = np.maximum.accumulate(np.where(begins, step, 0))
-        lasted: Array = np.where(wrong, self.time - self.time[first], np.nan)
-        return lasted
 
     @property
     def failed(self) -> NDArray[np.bool_]:

@@ -25,7 +25,6 @@ from torchfra.readers.columns import Array
 from torchfra.readers.recording import Recording
 from torchfra.running.jobs import finished, one_thread
 from torchfra.tables import duration, metres
-from torchfra.types import Fallback
 
 if TYPE_CHECKING:  # the default filter needs none of the others, whose import takes as long as cleaning a track
     from torchfra.filters import Filter
@@ -67,8 +66,6 @@ def clean_tracks(
     smooth: bool = True,
     dt: float | None = None,
     repair: bool = True,
-    compile: bool = False,
-    fallback: Fallback | None = None,
     jobs: int = 1,
 ) -> list[Cleaned]:
     """Recorded tracks, cleaned.
@@ -87,8 +84,6 @@ def clean_tracks(
         dt: seconds; also estimates at every multiple of it.
         repair: whether fixes with wrong time stamps, as are frequent in ADS-B and AIS, are first moved along the path
             to where the target was: where tracks show such errors, and not for a filter on line.
-        compile: whether filters of the catalogue run compiled.
-        fallback: called if the filter cannot be compiled, and runs interpreted; None raises the error.
         jobs: the most processes that share the work of the default filter.
 
     Returns:
@@ -96,7 +91,6 @@ def clean_tracks(
 
     Raises:
         ValueError: an unknown filter or bank, one that targets are far too fast for, or a value out of its range.
-        CompileError: the filter cannot be compiled, and there is no ``fallback``.
         ChildProcessError: a process was killed, for example when memory ran out.
     """
     check_settings(filter, sigma=sigma, q=q, dt=dt, bank=bank)
@@ -105,9 +99,7 @@ def clean_tracks(
     if isinstance(bank, str):
         check_speeds(recordings, bank)
     default = _is_default(filter, bank)
-    settings = Settings(
-        sigma, q, smooth, filter, bank, dt, repair and smooth, compile, None if default else fallback
-    )  # fmt: skip
+    settings = Settings(sigma, q, smooth, filter, bank, dt, repair and smooth)
     several = list[tuple[list[int], Settings]]()
     for argos, own in ((False, settings), (True, settings._replace(sigma=1.0))):  # whose errors are as they are stated
         chosen = [i for i, one in enumerate(recordings) if (sigma is None and one.source.argos) == argos]

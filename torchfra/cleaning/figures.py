@@ -5,20 +5,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from torchfra.cleaning import Cleaned
-from torchfra.cleaning.outputs.view import MOST_STD, SURE, Band, View, beyond, placed, view
-from torchfra.numbers import Array
-from torchfra.pictures import APART, BLACK, BLUE, BROWN, DARK, GREY, ORANGE, PALE_BLUE, RED
+from torchfra.cleaning.outputs.view import SURE, Band, View, beyond, placed, view
+from torchfra.pictures import BLUE, BROWN, DARK, GREY, ORANGE, PALE_BLUE, RED
 from torchfra.plotting.labels import SIZE, in_free_places, show
 from torchfra.plotting.style import TITLE, finish, lay_out, without_box, words
-from torchfra.tables import plural
 
 _MANY = 50
 """Rejected fixes whose marks are small, so that the path is seen."""
@@ -29,15 +25,14 @@ _LETTERS = 76
 
 
 def cleaned(track: Cleaned) -> Figure:
-    """A track on a map, and its speed, altitude, innovations and the probability of a manoeuvre over time.
+    """A track on a map, and its speed, altitude and the probability of a manoeuvre over time.
 
     A rejected fix is drawn where it was recorded; the map shows the track, and one that is far off is a triangle at its
     edge.  Manoeuvres are shaded, and what the track is sure to is a band.  The axes are labelled ``"map"``,
-    ``"speed"``, ``"altitude"`` (of a track in space), ``"innovation"`` and ``"manoeuvre"``, which is there if one is
-    likely at some time.
+    ``"speed"``, ``"altitude"`` (of a track in space) and ``"manoeuvre"``, which is there if one is likely at some time.
     """
     shown = view(track)
-    rows = ["speed", *(["altitude"] if shown.altitude else []), "innovation"]
+    rows = ["speed", *(["altitude"] if shown.altitude else [])]
     rows += ["manoeuvre"] if (shown.manoeuvre >= _LIKELY).any() else []
     figure = Figure(figsize=(12, 7), layout="constrained")
     panels = figure.subplot_mosaic([["map", row] for row in rows], width_ratios=[1.15, 1])
@@ -45,7 +40,6 @@ def cleaned(track: Cleaned) -> Figure:
     _draw_band(panels["speed"], shown, shown.speed, "speed, m/s")
     if shown.altitude is not None:
         _draw_band(panels["altitude"], shown, shown.altitude, "altitude, m")
-    _draw_innovations(panels["innovation"], shown)
     if "manoeuvre" in panels:
         panels["manoeuvre"].fill_between(shown.time, np.nan_to_num(shown.manoeuvre), color=ORANGE, linewidth=0)
         panels["manoeuvre"].set(ylabel="manoeuvre", ylim=(0, 1))
@@ -112,26 +106,6 @@ def _draw_band(axes: Axes, track: View, band: Band, label: str) -> None:
     axes.set(ylabel=label, ylim=limits)
 
 
-def _draw_innovations(axes: Axes, track: View) -> None:
-    """Innovations in standard deviations, rejected fixes apart; those beyond the axis at its edge."""
-    top = MOST_STD
-    for mask, mark, colour in ((~track.rejected, ".", DARK), (track.rejected, "x", RED)):
-        inside = mask & (track.innovation <= top)
-        axes.plot(track.time[inside], track.innovation[inside], mark, markersize=3 if mark == "." else 5, color=colour)
-    over = track.innovation > top
-    if over.any():
-        colours = np.where(track.rejected[over], RED, DARK)
-        axes.scatter(
-            track.time[over], np.full(over.sum(), top), s=25, marker="^", c=list(colours), clip_on=False, zorder=3
-        )
-        most = np.nanmax(track.innovation)
-        axes.set_title(f"{over.sum():,} outside, up to {most:,.0f}", fontsize=SIZE - 1, loc="right", pad=4)
-    axes.axhline(1.0, color=BLACK, linewidth=0.8, linestyle=":")
-    axes.annotate("as expected", (1.0, 1.0), (3, 0), xycoords=("axes fraction", "data"), textcoords="offset points",
-                  fontsize=SIZE - 1, va="center", annotation_clip=False)  # fmt: skip
-    axes.set(ylabel="innovation, std", ylim=(0, top))
-
-
 def _finish_time(rows: list[Axes], track: View) -> None:
     """Shades the manoeuvres, and gives all panels the same time."""
     end = track.time[-1] if track.time[-1] > 0 else 1.0
@@ -148,45 +122,3 @@ def _finish_time(rows: list[Axes], track: View) -> None:
     for middle, row, kind in placed(track, _LETTERS):
         rows[0].annotate(kind, (middle, 1.0), (0, 3 + 10 * row), xycoords="axes fraction", textcoords="offset points",
                          ha="center", fontsize=SIZE - 1.5, color=BROWN, annotation_clip=False)  # fmt: skip
-
-
-# ---------------------------------------------------------------- several tracks
-
-
-def overview(results: Sequence[Cleaned]) -> Figure:
-    """All tracks on a map, which is labelled ``"map"``; of a few each has its colour and its name."""
-    names = [track.recording.name for track in results]
-    figure = Figure(figsize=(9, 8), layout="constrained")
-    (axes,) = figure.subplot_mosaic([["map"]]).values()
-    colours = dict(zip(names, APART, strict=False)) if len(names) <= len(APART) else {}
-    paths = _draw_paths(axes, results, colours)
-    fixes = sum(int((track.row >= 0).sum()) for track in results)
-    rejected = sum(int((track.flag == "outlier").sum()) for track in results)
-    figure.suptitle(f"{len(names)} {plural(results[0].recording.source.word)}: {fixes:,} fixes, {rejected:,} rejected")
-    every = np.concatenate([*paths.values()] or [np.zeros((1, 2))])
-    margin = 0.04 * max(float(np.ptp(every, axis=0).max()), 1e-3)
-    window = every.min(0) - margin, every.max(0) + margin
-    show(axes, *window)  # about: the layout needs the numbers at its axes
-    lay_out(figure)
-    figure.set_layout_engine("none")
-    show(axes, *window)
-    in_free_places(axes, {name: paths[name] for name in colours if name in paths}, colours)
-    return figure
-
-
-def _draw_paths(axes: Axes, results: Sequence[Cleaned], colours: dict[str, str]) -> dict[str, Array]:
-    """Draws the path of each target from its first to its last fix that was kept; returns what it drew."""
-    every = [track.position[np.isfinite(track.position).all(1), :2] for track in results]
-    size = float(np.ptp(np.concatenate(every), axis=0).max()) if any(map(len, every)) else 0.0
-    unit, metres = ("km", 1000.0) if size >= 2000 else ("m", 1.0)
-    paths = {}
-    for track, of in zip(results, every, strict=True):
-        if len(path := of / metres):
-            name = track.recording.name
-            paths[name] = path
-            axes.plot(*path.T, color=colours.get(name, BLUE), linewidth=1.1, alpha=1.0 if colours else 0.6)
-            axes.plot(*path[0], ".", color=colours.get(name, BLUE), markersize=4)
-    axes.set(xlabel=f"east, {unit}", ylabel=f"north, {unit}")
-    axes.set_title("cleaned tracks, a dot where each begins", fontsize=10)
-    finish(axes)
-    return paths

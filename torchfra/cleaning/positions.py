@@ -23,7 +23,6 @@ from torchfra.cleaning.sigma import first_sigma, most_by_shapes
 from torchfra.cleaning.two_filters import Smoothed
 from torchfra.readers.columns import Array
 from torchfra.tree import map_tensors
-from torchfra.types import Fallback
 
 if TYPE_CHECKING:
     from torchfra.motion.bank import Bank
@@ -55,8 +54,6 @@ class Settings(NamedTuple):
     bank: str | Bank | None = None
     dt: float | None = None
     repair: bool = True
-    compile: bool = False
-    fallback: Fallback | None = None
 
 
 class Row(NamedTuple):

@@ -13,7 +13,6 @@ from torchfra.cli.loading import load_filters, load_module
 from torchfra.cli.sources import RANGES, add_source_options, scenario_of
 from torchfra.cli.track_command import FILES
 from torchfra.evaluation import (
-    BASELINE,
     check_limit,
     headline,
     leaders,
@@ -89,9 +88,6 @@ def add_to(command: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="figure of errors and the bound, one column wide: PDF, SVG or PNG",
     )
-    best = f"the first of them, {BASELINE} and the best others"
-    add("--show", metavar="A,B", help=f"filters to draw over time, the first {MOST_ON_MAP} on a map (default: {best})")
-    add("--map-run", type=int, metavar="N", help="number of the run to draw on a map (default: a typical one)")
     add_output_options(command)
     command.set_defaults(run=run)
 
@@ -110,7 +106,6 @@ def run(options: argparse.Namespace) -> None:
     first = distributed.rank() == 0
     quiet = options.quiet or not first
     tell, fallback = reporters(options.compile, quiet)
-    shown = _shown(options, filters, scenario, runs)
     compile = choose(options.compile, runs * scenario.steps >= WORTHWHILE, tell)
     metrics = measure(
         scenario, filters, runs=runs, seed=options.seed, compile=compile, fallback=fallback, progress=not quiet
@@ -118,7 +113,7 @@ def run(options: argparse.Namespace) -> None:
     if first:
         results = results_of(metrics, filters, scenario, runs, options.limit)
         least = bound_of(scenario, runs, options.seed) if _for_paper(options) else None
-        _write(options, Comparison(scenario, runs, options.seed, results, metrics, least), filters, shown)
+        _write(options, Comparison(scenario, runs, options.seed, results, metrics, least), filters)
 
 
 def _filters(options: argparse.Namespace, scenario: Scenario) -> dict[str, Filter]:
@@ -148,26 +143,7 @@ def _inputs(options: argparse.Namespace) -> list[str | Path]:
     return [path for path in paths if path is not None]
 
 
-def _shown(
-    options: argparse.Namespace, filters: Mapping[str, Filter], scenario: Scenario, runs: int
-) -> list[str] | None:
-    """The filters whose errors are drawn over time, in the order of the user; None to choose them by the results."""
-    if options.map_run is not None and not 0 <= options.map_run < runs:
-        raise ValueError(f"map-run: expected the number of a run, 0 to {runs - 1}, received {options.map_run}")
-    if options.map_run is not None and scenario.motion.dims < 2:
-        raise ValueError(f"map-run: expected positions in two dimensions or more, received {scenario.name}")
-    if options.show is None:
-        return None
-    names = [name for name in dict.fromkeys(options.show.split(",")) if name]
-    if not 1 <= len(names) <= MOST_SHOWN or not all(name in filters for name in names):
-        known = ", ".join(filters)
-        raise ValueError(f"show: expected 1 to {MOST_SHOWN} of {known}, received {options.show}")
-    return names
-
-
-def _write(
-    options: argparse.Namespace, comparison: Comparison, filters: Mapping[str, Filter], shown: Sequence[str] | None
-) -> None:
+def _write(options: argparse.Namespace, comparison: Comparison, filters: Mapping[str, Filter]) -> None:
     """Prints the results, and writes the requested files."""
     scenario, results, failures = comparison.scenario, comparison.results, Failures()
     title = _title(scenario, comparison.runs, options.seed)
@@ -186,7 +162,7 @@ def _write(
         with failures.of("print"):
             comparison.plot(options.printed)
     with failures.of("figure"):
-        _draw(options, comparison, filters, shown or leaders(results, MOST_SHOWN), title)
+        _draw(options, comparison, filters, leaders(results, MOST_SHOWN), title)
     failures.messages += not_finite(results)
     failures.end()
 
@@ -211,7 +187,7 @@ def _draw(
     on_map = {name: filters[name] for name in shown[:MOST_ON_MAP]}
     errors = [comparison.metrics[name].errors() for name in shown[:2]]
     limit = next(iter(results.values()))["limit"]
-    mapped = mapped_run(scenario, on_map, errors, options.seed, options.map_run)
+    mapped = mapped_run(scenario, on_map, errors, options.seed)
     plotting.save(plotting.comparison(results, shown, scenario.mean_dt, limit, title, mapped), options.figure)
     if not options.quiet:
         print(f"figure: {printable(str(options.figure))}")

@@ -28,8 +28,6 @@ class Plan(NamedTuple):
     """The targets of each table."""
     pictures: dict[Recording, Path]
     """The picture of each target; empty without pictures."""
-    overview: Path | None
-    """A picture of several targets."""
 
     def paths(self) -> Iterator[Path]:
         """All files."""
@@ -37,8 +35,6 @@ class Plan(NamedTuple):
             yield path
             yield beside(path)
         yield from self.pictures.values()
-        if self.overview is not None:
-            yield self.overview
 
 
 def ending_of(out: Path, form: str | None) -> tuple[bool, str]:
@@ -63,8 +59,7 @@ def plan(recordings: Sequence[Recording], out: Path, form: str | None = None, pl
         recordings: one or more.
         out: a file or a folder.
         form: of the tables in a folder; None for ``"csv"``.
-        plots: whether each target has a picture, and several an overview; None draws no more than ``MOST_PICTURES``
-            targets, and the overview.
+        plots: whether each target has a picture; None draws no more than ``MOST_PICTURES`` targets.
 
     Raises:
         ValueError: a format that does not fit the recordings.
@@ -72,15 +67,14 @@ def plan(recordings: Sequence[Recording], out: Path, form: str | None = None, pl
     one, ending = ending_of(out, form)
     check_format(ending, recordings)
     folder, several = (out.parent if one else out), len(recordings) > 1
-    used = {"overview"} if several else set()
+    used = set[str]()
     names = {recording: unused(recording.name, used) for recording in recordings}
     if one:  # pictures lie beside the table
         names = {recording: f"{out.stem}-{name}" if several else out.stem for recording, name in names.items()}
     tables = {out: list(recordings)} if one else {folder / f"{name}{ending}": [r] for r, name in names.items()}
     drawn = plots if plots is not None else len(recordings) <= MOST_PICTURES
     pictures = {recording: folder / f"{name}.png" for recording, name in names.items()} if drawn else {}
-    overview = folder / (f"{out.stem}.png" if one else "overview.png") if several and plots is not False else None
-    return Plan(tables, pictures, overview)
+    return Plan(tables, pictures)
 
 
 def in_brief(paths: Sequence[Path]) -> str:

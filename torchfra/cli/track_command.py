@@ -14,7 +14,7 @@ from torchfra.cleaning import DEFAULT, Cleaned, check_settings, clean_tracks, ou
 from torchfra.cli import page
 from torchfra.cli import plan as plans
 from torchfra.cli.command import Failures, add_output_options, check_files, check_least
-from torchfra.cli.compiling import add_compile_option, choose, reporters
+from torchfra.cli.compiling import reporters
 from torchfra.cli.reading_options import add_bound_option, add_cleaning_options, add_reading_options, reading_of
 from torchfra.readers import Recording
 from torchfra.running import distributed
@@ -43,11 +43,7 @@ _EXAMPLES = f"""examples:
 
 A row of the table is a fix: its row in the input (from 0), its time in UTC (or seconds), the recorded and the cleaned
 position in the input's own coordinates, speed, course, climb, standard deviations along and across the course, the
-probability of an outlier, the duration of consecutive outliers, the residual, the probability of a manoeuvre, a flag,
-and the covariance."""
-
-WORTHWHILE = 5_000
-"""Steps of the longest track from which compiling saves time."""
+probability of an outlier, the residual, the probability of a manoeuvre, a flag, and the covariance."""
 
 
 def add_to(command: argparse.ArgumentParser) -> None:
@@ -74,7 +70,6 @@ def add_to(command: argparse.ArgumentParser) -> None:
     add_jobs_option(command, None, "the most processes that share the work, where there are 20,000 fixes or more for "
                     "each (default: as many as processors)")  # fmt: skip
     add("--verbose", action="store_true", help="say more: settings, notes and how well the model fits")
-    add_compile_option(command, f"for {WORTHWHILE:,} steps or more")
     add_bound_option(add)
     add_output_options(command)
     command.set_defaults(run=run)
@@ -100,10 +95,10 @@ def run(options: argparse.Namespace) -> None:
     recordings = readers.read(options.file, max_bytes=options.max_bytes, **words)
     files = plans.plan(recordings, options.out, options.format, options.plots)
     check_files(extra | {f"out, {path.name}": path for path in files.paths()}, [options.file])
-    if files.pictures or files.overview is not None:
+    if files.pictures:
         # With matplotlib it takes half a second, in which others work.
         threading.Thread(target=import_module, args=("torchfra.cleaning.figures",)).start()
-    tell, _ = reporters(options.compile, options.quiet)
+    tell, _ = reporters(None, options.quiet)
     read = list(dict.fromkeys(printable(note) for recording in recordings for note in recording.source.notes))
     for line in read if options.verbose else ["; ".join(read)]:
         tell(f"Read: {line}")
@@ -132,12 +127,10 @@ def _cleaned(
     recordings: Sequence[Recording], options: argparse.Namespace, failures: Failures
 ) -> dict[Recording, Cleaned]:
     """The targets that could be cleaned."""
-    tell, fallback = reporters(options.compile, options.quiet)
-    compile = choose(options.compile, max(len(recording.time) for recording in recordings) >= WORTHWHILE, tell)
     results = clean_tracks(
         recordings, filter=options.filter, bank=options.bank, sigma=options.sigma, q=options.q,
-        smooth=not options.no_smooth, dt=options.dt, compile=compile, fallback=fallback,
-        repair=not options.no_repair, jobs=options.jobs,
+        smooth=not options.no_smooth, dt=options.dt, repair=not options.no_repair,
+        jobs=options.jobs,
     )  # fmt: skip
     done = {}
     for cleaned in results:
@@ -176,7 +169,7 @@ def _draw(
     results: dict[Recording, Cleaned], files: plans.Plan, options: argparse.Namespace, failures: Failures
 ) -> None:
     """Writes the pictures and the page."""
-    if files.pictures or files.overview is not None:
+    if files.pictures:
         from torchfra.cleaning import figures  # matplotlib takes long to import
         from torchfra.plotting import save
 
@@ -184,9 +177,6 @@ def _draw(
             if (cleaned := results.get(recording)) is not None:
                 with failures.of(printable(recording.name)):
                     save(figures.cleaned(cleaned), path)
-        if files.overview is not None:
-            with failures.of("overview"):
-                save(figures.overview(list(results.values())), files.overview)
     if options.html is not None:
         with failures.of("html"):
             page.write(list(results.values()), options.html, share=options.share_script is not False)

@@ -27,7 +27,7 @@ UNITS = {
     "vx": "m/s", "vy": "m/s", "vz": "m/s", "speed": "m/s over ground", "course": "degrees clockwise from north, or +y",
     "climb": "m/s", "std_along": "m, along the course", "std_across": "m, to its right", "std_up": "m",
     "nis": "normalised innovation squared", "outlier": "probability that the fix is an outlier",
-    "outlier_duration": "s since the first of consecutive outliers", "residual": "m from fix to cleaned position",
+    "residual": "m from fix to cleaned position",
     "manoeuvre": "probability of a manoeuvre", "flag": "outlier, manoeuvre, unclear, or empty",
     "cov_": "covariance, m and m/s", "raw_": "as recorded",
 }  # fmt: skip
@@ -52,7 +52,7 @@ def columns(cleaned: Cleaned) -> Table:
         table |= _geodetic(cleaned, prefix)
         table |= {prefix + axis: position[:, i] / unit for i, axis in enumerate(axes)}
     table |= {f"v{axis}": cleaned.velocity[:, i] for i, axis in enumerate(axes)} | _course(cleaned)
-    own = ("nis", "outlier", "outlier_duration", "residual", "manoeuvre", "flag")
+    own = ("nis", "outlier", "residual", "manoeuvre", "flag")
     table |= {name: getattr(cleaned, name) for name in own}
     return table | _covariance(cleaned, axes)
 

@@ -18,8 +18,6 @@ from torchfra.tables import duration, metres, printable
 
 SURE = 2.0
 """Standard deviations to each side that a band is wide."""
-MOST_STD = 6.0
-"""Standard deviations of an innovation up to which it is shown."""
 _ROOM = 0.5
 """Share of the path's size by which kept fixes may widen the map."""
 _MEDIAN, _SPIKE = 5, 3.0
@@ -76,8 +74,6 @@ class View(NamedTuple):
     clock: str
     speed: Band
     altitude: Band | None
-    innovation: Array
-    """``(T,)`` in standard deviations per axis: 1 is as expected; NaN between fixes."""
     manoeuvres: list[tuple[float, float, str]]
     """Begin and end in units of ``time``, and a description."""
     shades: list[tuple[float, float]]
@@ -88,7 +84,7 @@ class View(NamedTuple):
 
 def view(cleaned: Cleaned) -> View:
     """The numbers in a picture of a track."""
-    moved, d = course(cleaned), cleaned.raw.shape[1]
+    moved = course(cleaned)
     rejected = cleaned.flag == "outlier"
     low, high = _corners(cleaned, rejected)
     unit, size = ("km", 1000.0) if (high - low).max() >= 2000 else ("m", 1.0)
@@ -107,7 +103,6 @@ def view(cleaned: Cleaned) -> View:
         clock=clock,
         speed=Band(moved.speed, moved.speed_std),
         altitude=_altitude(cleaned, moved.up),
-        innovation=np.where(cleaned.row >= 0, np.sqrt(cleaned.nis / d), np.nan),
         manoeuvres=[(of.begin / seconds, of.end / seconds, named(of)) for of in cleaned.segments],
         shades=[(begin / seconds, end / seconds) for begin, end in spans(cleaned.segments)],
         manoeuvre=cleaned.manoeuvre,
