@@ -199,8 +199,8 @@ def _check_signs(head: Head, role: str, columns: Mapping[str, str]) -> None:
     column, names = columns[role], head.names
     values, whole = values_of(head.cells(column)), re.sub("(?:deg(?:ree)?s?|dd?)$", "", "".join(name_words(column)))
     for i, name in enumerate(names):
-        words, cells = {*name_words(name)}, texts_of(head.cells(name))
-        sides = {cell.lower() for cell in cells if all(re.fullmatch("[A-Za-z]{1,5}", cell) for cell in cells)}
+        words, cells = {*name_words(name)}, {*texts_of(head.cells(name))}
+        sides = {cell.lower() for cell in cells} if all(re.fullmatch("[A-Za-z]{1,5}", one) for one in cells) else set()
         letters = {*"".join(sides)} if all(len(side) < 3 for side in sides) else sides
         near = words & _BESIDE or names[i - 1] in columns.values()
         turned = near and sides and letters & _BELOW[role] and letters <= {*"nsew"} | {"north", "south", "east", "west"}
