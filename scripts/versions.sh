@@ -53,8 +53,10 @@ prepare() {
     python3 -m venv "$work/tools"
     timeout 120 "$work/tools/bin/python" -m pip install --quiet --disable-pip-version-check --retries 1 --timeout 20 uv || return
   fi
-  timeout 120 uv build --quiet --out-dir "$work/dist" . || return
-  mkdir "$work/tree" && tar -xzf "$work"/dist/*.tar.gz -C "$work/tree" --strip-components 1 || return
+  # Of a copy: a build writes into its folder, and so may an installation of it beside this one.
+  mkdir "$work/source" "$work/tree" && tar -c --anchored --exclude=out .github [!.]* | tar -x -C "$work/source" || return
+  timeout 120 uv build --quiet --out-dir "$work/dist" "$work/source" || return
+  tar -xzf "$work"/dist/*.tar.gz -C "$work/tree" --strip-components 1 || return
   rm -r "$work/tree/torchfra" # as a user has it: the wheel alone
   grep -v '^torch==' constraints.txt > "$work/constraints.txt"
 }
