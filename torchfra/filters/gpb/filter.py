@@ -19,6 +19,7 @@ from torchfra.filters.gpb.hypotheses import (
     MOTION,
     OUTLIER,
     Hypotheses,
+    Posterior,
     estimate,
     from_state,
     merge,
@@ -226,9 +227,10 @@ class GPB(Filter[GPBState]):
             predicted, compare, frame, (log_mode, modes), change, learn_noise=noise is not None
         )  # (4)
         updated = updates.every
-        posterior = updated.posterior()  # (5)
-        after = regimes.merged(updated, self.motion.angles)  # (6)
-        belief = estimate(after.belief, after.share_roots(MOTION)[0] * posterior.mode, self.motion)  # (7)
+        after, of_hypotheses = regimes.merged(updated, self.motion.angles)  # (6)
+        of_beliefs, log_mode = after.share_roots(MOTION)
+        posterior = Posterior.of(regimes.per_merged(of_beliefs) * of_hypotheses, log_mode)  # (5)
+        belief = estimate(after.belief, of_beliefs * posterior.mode, self.motion)  # (7)
         smoothed = mixing.smoothed(regimes.by_source(posterior.probability.sum(OUTLIER, keepdim=True)))
         lagged = estimate(before.belief, safe_sqrt(smoothed), self.motion)  # (8)
 
@@ -257,7 +259,7 @@ class GPB(Filter[GPBState]):
         widened = torch.where(state.doubt > FIRST, widening, torch.where(state.doubt > THIRD, state.widening, 1.0))
         widened = torch.where(measured, widened, state.widening)
         now = GPBState(belief, lagged, *kept, state.duration, doubt, widened, relaxation, last, noise)
-        alarm = self.alarm(state, now, frame)
+        alarm = self.alarm(state, now, posterior.some_outlier, frame)
         now = now._replace(duration=alarm.duration)  # the alarm has counted this step
 
         # The record: for the estimate, and for the backward pass.
@@ -469,12 +471,14 @@ class GPB(Filter[GPBState]):
 
     def faulty(self, state: GPBState) -> Tensor:
         """Probability ``(..., B)`` that each block of the sensor's elements is faulty now: measures an outlier."""
-        any_outlier = state.log_weights[..., 1, :].exp().sum(-1, keepdim=True)
-        return self.outliers.now(any_outlier * state.outlier, state.relaxation)
+        return self._faulty(state, state.log_weights[..., 1, :].exp().sum(-1))
 
-    def alarm(self, before: GPBState, now: GPBState, frame: Frame) -> Alarm:
-        """Which blocks are faulty after a step, since when, and by how much."""
-        was, faulty, sensor = self.faulty(before), self.faulty(now), frame.sensor
+    def _faulty(self, state: GPBState, some_outlier: Tensor) -> Tensor:
+        return self.outliers.now(some_outlier.unsqueeze(-1) * state.outlier, state.relaxation)
+
+    def alarm(self, before: GPBState, now: GPBState, some_outlier: Tensor, frame: Frame) -> Alarm:
+        """Which blocks are faulty after a step, of ``some_outlier`` in probability, since when, and by how much."""
+        was, faulty, sensor = self.faulty(before), self._faulty(now, some_outlier), frame.sensor
         estimated = sensor.at_points(now.belief.mean[None, ..., : sensor.reads], frame.u)[0]
         offset = torch.where(frame.measured > 0, sensor.difference(frame.z, estimated), 0.0)
         return Alarm(faulty, faulty_seconds(before.duration, was, faulty, frame.dt), offset)

@@ -40,6 +40,14 @@ class Posterior(NamedTuple):
     log_likelihood: Tensor
     """``(...)`` log likelihood of the measurement."""
 
+    @staticmethod
+    def of(roots: Tensor, log_mode: Tensor) -> Posterior:
+        """From square roots ``(2, R, 2, ...)`` of the shares, and logs ``(2, 1, 1, ...)`` of weights of the modes."""
+        mode, log_likelihood = share_roots(log_mode)  # NaN where every hypothesis has failed
+        share = roots.square()
+        log_regimes = log_mode + safe_log(share.sum(BEFORE, keepdim=True)) - log_likelihood
+        return Posterior((roots * mode).square(), share, mode, log_regimes, log_likelihood[0, 0])
+
     @property
     def some_outlier(self) -> Tensor:
         """``(...)`` probability that the measurement has an outlier in some block."""
@@ -66,13 +74,6 @@ class Hypotheses(NamedTuple):
         none = total == 0
         total = torch.where(none, 1.0, total)
         return roots / total.sqrt(), torch.where(none, -torch.inf, top + total.log())
-
-    def posterior(self) -> Posterior:
-        """Probability of each, where weights are prior times likelihood of the measurement."""
-        share, log_mode = self.share_roots(MOTION, BEFORE)
-        mode, log_likelihood = share_roots(log_mode)  # NaN where every hypothesis has failed
-        log_regimes = log_mode + safe_log(share.square().sum(BEFORE, keepdim=True)) - log_likelihood
-        return Posterior((share * mode).square(), share.square(), mode, log_regimes, log_likelihood[0, 0])
 
     def merged(self, *axes: int, angles: Sequence[int] = (), triangular: bool = True) -> Hypotheses:
         """The hypotheses along some axes merged into one with their moments.

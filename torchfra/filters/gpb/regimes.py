@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.distributions import constraints
 from torch.nn.functional import pad
 
-from torchfra.filters.gpb.hypotheses import BEFORE, MOTION, Hypotheses, taken, values_first
+from torchfra.filters.gpb.hypotheses import BEFORE, MOTION, Hypotheses, merge, taken, values_first
 from torchfra.filters.gpb.outliers import EXPECTED
 from torchfra.filters.markov import generator, sojourn_times, transition_over
 from torchfra.gaussian.inputs import Frame
@@ -604,15 +604,21 @@ class Regimes(Part):
         """Logs of weights of ``R`` regimes along an axis, summed for each of the ``S`` beliefs."""
         return _each_group(log_weight, self.merged_from, axis, lambda x: log_sum(x, axis).unsqueeze(axis))
 
-    def merged(self, every: Hypotheses, angles: Sequence[int]) -> Hypotheses:
-        """Hypotheses ``(2, R, 2, ...)`` merged over regimes of a belief and the outlier before: ``(2, S, 1, ...)``."""
-        parts = [
-            every.of(regimes).merged(*[MOTION] * share, BEFORE, angles=angles) for regimes, share in self.merged_from
-        ]
-        if len(parts) == 1:
-            return parts[0]
-        (means, roots), log_weights = zip(*[part.belief for part in parts], strict=True), [p.log_weight for p in parts]
-        return Hypotheses(Gaussian(torch.cat(means, MOTION), torch.cat(roots, MOTION)), torch.cat(log_weights, MOTION))
+    def merged(self, every: Hypotheses, angles: Sequence[int]) -> tuple[Hypotheses, Tensor]:
+        """Hypotheses ``(2, R, 2, ...)`` merged over regimes of a belief and the outlier before: ``(2, S, 1, ...)``.
+
+        And square roots ``(2, R, 2, ...)`` of the shares that hypotheses have in their belief.
+        """
+        beliefs, shares = list[Gaussian](), list[tuple[Tensor, Tensor]]()
+        for regimes, share in self.merged_from:
+            part, axes = every.of(regimes), [*[MOTION] * share, BEFORE]
+            shares.append(part.share_roots(*axes))
+            beliefs.append(merge(part.belief, shares[-1][0], axes, angles))
+        parts = *zip(*beliefs, strict=True), *zip(*shares, strict=True)
+        mean, root, of_hypotheses, log_weight = [torch.cat(part, MOTION) for part in parts]
+        order = [r for regimes, _ in self.merged_from for r in regimes]
+        of_hypotheses = taken(of_hypotheses, [order.index(r) for r in range(len(order))], MOTION)
+        return Hypotheses(Gaussian(mean, root), log_weight), of_hypotheses
 
     def merged_parts(self, parts: Propagated, log_weight: Tensor, angles: Sequence[int]) -> Gaussian:
         """Predictions ``(2, S, 1, ..., n)``, any root, of ``parts (1, R, 2, ...)``, merged as beliefs are after a step.
