@@ -400,7 +400,9 @@ def test_true_places_near_the_equator_are_read(write, place, step, columns):
     assert track.origin[:2] == pytest.approx(place)
 
 
-@pytest.mark.parametrize(("column", "unknown"), [("hdop", "99.99"), ("eph", "65535"), ("hacc", "4294967295")])
+@pytest.mark.parametrize(
+    ("column", "unknown"), [("hdop", "99.99"), ("eph", "65535"), ("eph", "655.35"), ("hacc", "4294967295")]
+)
 def test_an_accuracy_that_a_receiver_does_not_know_is_missing_and_it_is_said(write, column, unknown):
     rows = [(i, 47 + i * 1e-4, 8, unknown if i % 4 == 0 else "1.5") for i in range(40)]
     (track,) = read(write(table(f"time,lat,lon,{column}", rows)))

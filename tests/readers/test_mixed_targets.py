@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import torchfra
-from torchfra.cleaning.outputs.summary import MIXED, sentences
 from torchfra.readers import read
 from torchfra.readers.options import AskError
 
@@ -73,22 +72,6 @@ def test_targets_of_one_row_each_are_refused_as_such(write):
     rows = [f"{i},{i},{i},0" for i in range(40)]
     with pytest.raises(ValueError, match="expected 2 or more rows with time and position of the same target"):
         read(write(["t,id_of,x,y", *rows]), id="id_of")
-
-
-def test_rejected_fixes_along_ways_of_their_own_are_said_to_be_other_targets():
-    time = np.arange(150.0)
-    place = np.stack([5 * time, np.zeros(150)], 1) + NOISE[:150]
-    place[::4, 1] += 4000 + 3 * time[::4]
-    assert any(said.startswith(MIXED) for said in sentences(torchfra.clean((time, place), bank="vehicle")))
-
-
-def test_scattered_outliers_are_not_taken_for_other_targets():
-    time, rng = np.arange(150.0), np.random.default_rng(8)
-    place = np.stack([5 * time, np.zeros(150)], 1) + NOISE[:150]
-    place[::4] += rng.normal(0, 2000, place[::4].shape)
-    cleaned = torchfra.clean((time, place), bank="vehicle")
-    assert (cleaned.flag == "outlier").sum() > 30
-    assert not any(said.startswith(MIXED) for said in sentences(cleaned))
 
 
 @pytest.mark.parametrize(("header", "options"), [

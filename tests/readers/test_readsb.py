@@ -74,6 +74,7 @@ def test_records_may_be_an_object_a_line(write):
     (TRACE | {"trace": [[0, 1]]}, r"expected second, lat, lon, alt_baro in trace, received \[0, 1\]"),
     (TRACE | {"trace": [["now", 1, 2, 3]]}, "expected second, lat"),
     (TRACE | {"timestamp": "noon"}, "expected a number of seconds, received 'noon'"),
+    (TRACE | {"timestamp": None}, "expected a number of seconds, received None"),
     (TRACE | {"trace": []}, "expected rows, received none"),
 ])  # fmt: skip
 def test_a_damaged_trace_is_refused(write, content, said):

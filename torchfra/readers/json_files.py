@@ -138,10 +138,9 @@ def _sum(start: Any, seconds: Any) -> float:
     Raises:
         ValueError: one is no number.
     """
-    if other := next(
-        (one for one in (start, seconds) if isinstance(one, bool) or not isinstance(one, int | float)), None
-    ):
-        raise ValueError(f"expected a number of seconds, received {short(other)}")
+    for one in (start, seconds):
+        if isinstance(one, bool) or not isinstance(one, int | float):
+            raise ValueError(f"expected a number of seconds, received {short(one)}")
     return round(float(start + seconds), 3)
 
 

@@ -26,8 +26,8 @@ Source: Costa et al. (2010), PLoS ONE 5, e8677, of seals and sea lions; Z is as 
 aniMotum (Jonsen et al., 2023).
 """
 _CLASS = Kind("a class of Argos", unit=_OF_A_RADIUS, words=tuple(_CLASSES.items()))
-_UNKNOWN = (65_535.0, 4_294_967_295.0)
-"""What receivers write for an accuracy that they do not know: a counter that is full."""
+_UNKNOWN = (65_535.0, 655.35, 4_294_967_295.0, 4_294_967.295)
+"""What receivers write for an accuracy that they do not know: a counter that is full, of metres or of parts of them."""
 _NO_HDOP = (99.0, 99.9, 99.99, 100.0)
 """The same for an HDOP."""
 _ELLIPSE = ("semi_major", "semi_minor", "orientation")

@@ -68,8 +68,6 @@ def sentences(cleaned: Cleaned) -> list[str]:
         said.append(UNLIKELY)
     elif 10 * of["flags"]["outlier"] >= of["fixes"]:
         said.append(MANY)
-    if _is_mixed(cleaned):
-        said.append(f"{MIXED}: the option id with a column distinguishes them")
     if of["repairs"]:
         said.append(f"Repaired: {in_words(of['repairs'])}")
     return said
@@ -112,14 +110,14 @@ TRUST = ("Time stamps were off", "Standard deviations are as stated", "Sigma var
 
 UNLIKELY = (
     "A third of the fixes or more were rejected: do not trust the path. Columns, units or times may be other than "
-    "taken, or the target may move as none of its kind does (--bank, --sigma)"
+    "taken, there may be several targets in one (--id), or it may move as none of its kind does (--bank, --sigma)"
 )
 """The warning for a track that its fixes contradict."""
 
 
 MANY = (
-    "A tenth of the fixes or more were rejected. If noise varies along the track, as with the range of a radar, give "
-    "each fix its standard deviation in a column sigma"
+    "A tenth of the fixes or more were rejected. There may be several targets in one (--id); if noise varies along the "
+    "track, as with the range of a radar, give each fix its standard deviation in a column sigma"
 )
 """What is said of a track of which many, but not most, fixes were rejected."""
 
@@ -127,31 +125,6 @@ MANY = (
 def _is_unlikely(of: Mapping[str, Any]) -> bool:
     """Whether so many fixes were rejected that it is rather the path that is wrong."""
     return bool(3 * of["flags"]["outlier"] >= of["fixes"] > 0)
-
-
-MIXED = "The rejected fixes lie along ways of their own: there may be several targets in one"
-"""The warning for a track that may be of several targets."""
-_MIXED, _NEAR, _IN_LINE = 0.2, 4, 0.1
-"""Share of the fixes that must be rejected for that; how many others before and after are looked at; and how far a fix
-is at most from the line between two of these, as a share of its distance to the path."""
-
-
-def _is_mixed(cleaned: Cleaned) -> bool:
-    """Whether a fifth of the fixes or more were rejected, and most of them lie in line with others of them."""
-    rejected = cleaned.flag == "outlier"
-    if rejected.sum() < max(_MIXED * (cleaned.row >= 0).sum(), 2 * _NEAR):
-        return False
-    time, place, residual = cleaned.time[rejected], cleaned.raw[rejected, :2], cleaned.residual[rejected]
-    nearest = np.full(len(time), np.inf)
-    for before in range(1, _NEAR + 1):
-        for after in range(1, _NEAR + 1):
-            first, at, last = place[: -before - after], place[before:-after], place[before + after :]
-            passed = (time[before:-after] - time[: -before - after]) / (
-                time[before + after :] - time[: -before - after]
-            )
-            away = np.linalg.norm(at - first - passed[:, None] * (last - first), axis=1)
-            nearest[before:-after] = np.minimum(nearest[before:-after], away)
-    return bool(np.median(nearest / residual) < _IN_LINE)
 
 
 COLUMNS = ("fixes", "lasting", "rejected", "farthest", "unclear", "manoeuvres", "moved", "std", "sigma")
@@ -189,8 +162,6 @@ def sentences_on_all(results: Sequence[Cleaned]) -> list[str]:
     said += [note for note in notes(results) if note.startswith(TRUST)]
     if unsure := [of["name"] for of in every if of["sigma_unsure"]]:
         said.append(f"Sigma is unsure of {listed(unsure)}: --sigma gives it if it is known")
-    if mixed := [cleaned.recording.name for cleaned in results if _is_mixed(cleaned)]:
-        said.append(f"There may be several targets in one (--id): {listed(mixed)}")
     if unlikely := [of["name"] for of in every if _is_unlikely(of)]:
         said.append(f"Not to be trusted (a third of their fixes rejected): {listed(unlikely)}")
     if failed := [of["name"] for of in every if of["failed"]]:
