@@ -8,7 +8,7 @@ from one_graph import needs_one_graph
 
 from torchfra import presets
 from torchfra.motion import ConstantVelocity
-from torchfra.sensors import Bearings
+from torchfra.sensors import Position
 
 pytestmark = [needs_one_graph, pytest.mark.slow]
 
@@ -30,5 +30,5 @@ def test_a_filter_is_one_graph(name, options, make, tracks):
 
 
 def test_a_bank_of_hypotheses_is_one_graph(tracks):
-    f = presets.gpb([ConstantVelocity(0.1), ConstantVelocity(3.0)], Bearings(0.02), **FEWER, noise="stated")
-    sees_one_graph(f, tracks.z[:, :1], tracks.prior, tracks.u[:1])
+    f = presets.gpb([ConstantVelocity(0.1), ConstantVelocity(3.0)], Position(2.0), **FEWER, noise="stated")
+    sees_one_graph(f, tracks.truth[:, :1, :2], tracks.prior)

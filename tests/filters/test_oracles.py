@@ -117,6 +117,7 @@ NORMALISED = {"decision": "normalised", "memory": "plain", "rcond": 0.1}
 THREE = LIKELIHOOD | {"plain": 1.2, "provisional": "likeliest"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("preset", "options", "temperature"), [
     ("fra", LIKELIHOOD, 0.05), ("fra", LIKELIHOOD, 5.0), ("fra_srckf", NORMALISED, 1.0), ("fra", THREE, 0.05),
     ("fra", THREE, 1.0), ("fra_srckf", NORMALISED | {"plain": -0.5, "provisional": "plain"}, 5.0),
