@@ -400,6 +400,11 @@ def test_true_places_near_the_equator_are_read(write, place, step, columns):
     assert track.origin[:2] == pytest.approx(place)
 
 
+def test_a_boat_in_the_gulf_of_guinea_beside_others_elsewhere_is_read(write):
+    rows = [(i, name, place + i * 1e-6, 2.5) for i in range(40) for name, place in (("a", 1.2), ("b", 14.0))]
+    assert [track.name for track in read(write(table("time,id,lat,lon", rows)))] == ["a", "b"]
+
+
 @pytest.mark.parametrize(
     ("column", "unknown"), [("hdop", "99.99"), ("eph", "65535"), ("eph", "655.35"), ("hacc", "4294967295")]
 )

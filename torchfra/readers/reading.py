@@ -125,7 +125,8 @@ def _recordings(
     own = [layout.degrees and (shared is None or (origin is None and _hidden(target, shared))) for target in targets]
     origins = [_origin(target, None) if alone else shared for target, alone in zip(targets, own, strict=True)]
     recordings = [_recording(target, layout, about) for target, about in zip(targets, origins, strict=True)]
-    return sorted(checked(recordings, layout), key=lambda recording: recording.name)
+    places = np.concatenate([target.place for target in targets])
+    return sorted(checked(recordings, layout, places), key=lambda recording: recording.name)
 
 
 def _without_constant_z(table: Table, layout: Layout) -> Layout:

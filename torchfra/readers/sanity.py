@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from torchfra.readers.columns import Array
 from torchfra.readers.layouts import Layout
 from torchfra.readers.names import unit
 from torchfra.readers.options import AskError, listed
@@ -33,8 +34,13 @@ _DEGREES, _AS_DEGREES = np.array([180.0, 90.0]), (2e-6, 5e-3)
 """Longitude and latitude at most, and degrees a second of what moves by 0.2 to 500 m/s."""
 
 
-def checked(recordings: Sequence[Recording], layout: Layout) -> list[Recording]:
+def checked(recordings: Sequence[Recording], layout: Layout, places: Array) -> list[Recording]:
     """The recordings of possible speeds; the others are left out, and named in the repairs of the first one.
+
+    Args:
+        recordings: of a file.
+        layout: of its table.
+        places: ``(k, 2)`` coordinates of all, as in the file.
 
     Raises:
         ValueError: no recording that is long enough to be judged has possible speeds, or some with a fifth of the fixes
@@ -45,7 +51,7 @@ def checked(recordings: Sequence[Recording], layout: Layout) -> list[Recording]:
     if not layout.degrees and not options.units:
         _check_metres(recordings, layout)
     if layout.degrees and options.lat is None and source.word == "target":
-        _check_degrees(recordings, layout)
+        _check_degrees(recordings, layout, places)
     if options.time_format:
         return list(recordings)
     wrong = {recording: said for recording in recordings if (said := _impossible(recording))}
@@ -83,17 +89,17 @@ def _check_metres(recordings: Sequence[Recording], layout: Layout) -> None:
                        "say ", {"lat": y, "lon": x}, "; or ", {"units": "m"}, " if they are metres")  # fmt: skip
 
 
-def _check_degrees(recordings: Sequence[Recording], layout: Layout) -> None:
-    """Refuses latitudes and longitudes without a unit that may be radians: in the Gulf of Guinea, and slow."""
+def _check_degrees(recordings: Sequence[Recording], layout: Layout, places: Array) -> None:
+    """Refuses latitudes and longitudes without a unit that may be radians: all in the Gulf of Guinea, and slow."""
     lat, lon = layout.columns["latitude"], layout.columns["longitude"]
-    if unit(lat) or layout.source.notes[0].startswith(_IN_DEGREES):
+    stated = unit(lat) or layout.source.notes[0].startswith(_IN_DEGREES)
+    judged = [recording for recording in recordings if len(recording.time) >= _SOME]
+    size = np.abs(places)
+    if stated or not judged or (size > _RADIANS).any() or np.median(size, 0).max() < _NEAR:
         return
-    for recording in recordings:
-        places = np.abs((recording.origin or (0.0, 0.0))[:2])
-        likely = len(recording.time) >= _SOME and places.max() > _NEAR and (places <= _RADIANS).all()
-        if likely and speed_across(recording) < _SLOW:
-            raise AskError(f"expected degrees in {lat} and {lon}, received what looks like radians: write degrees, or "
-                           "say ", {"lat": lat, "lon": lon}, " if they are degrees")  # fmt: skip
+    if all(speed_across(recording) < _SLOW for recording in judged):
+        raise AskError(f"expected degrees in {lat} and {lon}, received what looks like radians: write degrees, or say ",
+                       {"lat": lat, "lon": lon}, " if they are degrees")  # fmt: skip
 
 
 def _impossible(recording: Recording) -> str:
