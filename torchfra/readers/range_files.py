@@ -115,16 +115,13 @@ class _Found:
 
 def _add(path: Path, found: _Found, max_bytes: int, *, any_kind: bool = False) -> None:
     """Adds what a file holds; a file of another kind is counted if ``any_kind`` may come."""
-    columns, stem, other = dict[str, str](), Path(path.name.removesuffix(".gz")).stem, False
-    earliest = -math.inf
+    stem, earliest = Path(path.name.removesuffix(".gz")).stem, -math.inf
 
     def choose(head: Head) -> Wanted:
-        nonlocal columns, other, earliest
+        nonlocal earliest
         columns = _columns_of(head.names)
-        if other := any_kind and not _kind_of(columns) and not all(map(DECIMAL.fullmatch, head.names)):
-            return {}
         if not _kind_of(columns):
-            raise ValueError(f"{_HEADERS}; received {listed(head.names)}")
+            return {}
         kinds: dict[str, Kind | None] = {"anchor": None}
         if "time" in columns:
             clock, _ = clock_of(head, ReadOptions(time=columns["time"]), {"time": (columns["time"],)}, None)
@@ -133,11 +130,13 @@ def _add(path: Path, found: _Found, max_bytes: int, *, any_kind: bool = False) -
 
     with naming(path):
         table = read_table(path, choose, max_bytes=max_bytes)
-        if other:
+        columns = _columns_of(table.names)
+        kind = _kind_of(columns)
+        if not kind and any_kind and not all(map(DECIMAL.fullmatch, table.names)):
             found.repairs["files of another kind left out"] += 1
             return
-        columns = columns or _columns_of(table.names)
-        kind = _kind_of(columns)
+        if not kind:
+            raise ValueError(f"{_HEADERS}; received {listed(table.names)}")
         position = np.stack([table.column(columns.get(axis, "")) for axis in "xyz"], 1)
         rows = grouped(table.texts.get(columns.get("anchor", ""), []))
         if kind == "places":
