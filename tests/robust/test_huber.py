@@ -249,6 +249,23 @@ def test_interacting_models_take_them(robust):
     torch.testing.assert_close(e.info.probabilities.sum(-1), torch.ones(2, 6).double())
 
 
+def test_models_are_weighed_by_the_density_whose_score_it_is():
+    """Huber's: normal up to the threshold, exponential beyond."""
+    threshold, models = 1.345, [ConstantAcceleration(q, dims=1) for q in (0.1, 3.0)]
+    z = torch.tensor([0.0, 0.5, -2.0, 9.0]).double()
+    prior = Gaussian(torch.zeros(4, 3).double(), torch.eye(3).double())
+    bank = presets.imm(models, Position(1.0, dims=1), inner=partial(presets.hghckf2, threshold=threshold))
+    found = bank(z[:, None, None], prior).info.probabilities[:, 0].detach().numpy()
+    density = []
+    for model in models:
+        F, L = (of(torch.tensor(1.0).double()).numpy() for of in (model.transition, model.process_noise))
+        std = math.sqrt((F @ F.T + L @ L.T)[0, 0] + 1.0)
+        size = np.abs(z.numpy()) / std
+        cost = np.where(size < threshold, size**2 / 2, threshold * size - threshold**2 / 2)
+        density.append(np.exp(-cost) / std)
+    np.testing.assert_allclose(found[:, 1] / found[:, 0], density[1] / density[0], rtol=1e-10)
+
+
 def test_an_infinite_threshold_has_finite_gradients_in_a_bank():
     models = [ConstantAcceleration(0.1), ConstantAcceleration(3.0)]
     f = presets.imm(models, Position(1.0), inner=partial(presets.hghckf2, threshold=math.inf), learn=("q",))
