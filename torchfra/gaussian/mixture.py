@@ -98,16 +98,16 @@ def _with_more(root: Tensor, middle: Tensor, roots: Tensor, mean: Tensor, spread
     return tria(hstack(root, *(each * torch.where(each != 0, spread, 0.0)).unbind(-3), of_means), graded=False)
 
 
-def share_roots(log_weights: Tensor, amplitudes: Tensor | None = None) -> tuple[Tensor, Tensor]:
+def share_roots(log_weights: Tensor, factors: Tensor | None = None) -> tuple[Tensor, Tensor]:
     """Square roots ``(K, ...)`` of the normalised weights, and the log ``(...)`` of their sum.
 
-    With ``amplitudes (K, ...)`` above 0 the weights are their squares times ``exp(log_weights)``.
+    With ``factors (K, ...)`` above 0 the weights are ``factors exp(log_weights)``.
     """
-    if len(log_weights) == 1 and amplitudes is None:
+    if len(log_weights) == 1 and factors is None:
         return torch.ones_like(log_weights), log_weights[0]
     top = largest(log_weights, 0)
     roots = (0.5 * (log_weights - top)).exp()
-    roots = roots if amplitudes is None else amplitudes * roots
+    roots = roots if factors is None else factors.sqrt() * roots
     total = roots.square().sum(0)
     return roots / total.sqrt(), top + total.log()
 

@@ -187,6 +187,6 @@ def of_inlier(updated: Gaussian, rows: Tensor, residual: Tensor, missing: Tensor
     left = residual - (rows * updated.mean.unsqueeze(-2)).sum(-1)
     share = (1 - (rows @ updated.scale_tril).square().sum(-1)).clamp_min(0.0)  # it is not below 0 but for rounding
     left, share = (1 - missing) * left.clamp(-FAR, FAR), (1 - missing) * share
-    size, farthest = [safe_sqrt(x.sum(-1, keepdim=True)) for x in (left.square(), FARTHEST**2 * share)]
-    left = left * safe_divide(farthest, torch.maximum(size, farthest))
+    size, farthest = [x.sum(-1, keepdim=True) for x in (left.square(), FARTHEST**2 * share)]
+    left = left * safe_sqrt(safe_divide(farthest, torch.maximum(size, farthest)))
     return torch.stack([left, left.square() - share, share.expand_as(left)])

@@ -486,20 +486,20 @@ class Outliers(Part):
         log_prior = modes.outlier.log() + safe_log(shares)
         if not single:
             log_prior = torch.cat([torch.log1p(-modes.outlier).unsqueeze(0), log_prior])
-        joint, amplitude, log_ratio = density.exponent[single:] + log_prior, density.amplitude[single:], None
+        joint, factor, log_ratio = density.exponent[single:] + log_prior, density.factor[single:], None
         if change is not None:  # one more mode, which the noise of two steps explains
             probability, whitened = change
             _, same = update(whitened.spread, whitened.residual, (2 * noise.sizes[:1]).sqrt(), missing)
-            log_without = log_sum(joint + 2 * amplitude.log(), 0)
+            log_without = log_sum(joint + factor.log(), 0)
             inliers, outliers = joint.split([len(joint) - len(shares), len(shares)])
             log_same = (same.exponent + modes.outlier.log() + safe_log(probability)).expand_as(joint[:1])
             joint = torch.cat([inliers, outliers + safe_log1p(-probability), log_same])
-            amplitude = torch.cat([amplitude, same.amplitude.expand_as(amplitude[:1])])
+            factor = torch.cat([factor, same.factor.expand_as(factor[:1])])
             updated = updated.before_prior(len(stds), 1)
             unreliable = torch.cat([unreliable, modes.unreliable.expand_as(unreliable[:1])])
-            log_ratio = _log_ratio(log_sum(joint + 2 * amplitude.log(), 0), log_without)
+            log_ratio = _log_ratio(log_sum(joint + factor.log(), 0), log_without)
 
-        roots, log_some = share_roots(joint, amplitude)
+        roots, log_some = share_roots(joint, factor)
         some = updated.merged(roots)
         more = some.scale_tril.shape[-1] - none.scale_tril.shape[-1]
         none = none._replace(scale_tril=pad(none.scale_tril, (0, more)))

@@ -14,19 +14,19 @@ from torchfra.types import Gaussian
 
 
 class Density(NamedTuple):
-    """Of a measurement, constants left out, for ``C`` sizes of its noise: ``amplitude^2 exp(exponent)``.
+    """Of a measurement, constants left out, for ``C`` sizes of its noise: ``factor exp(exponent)``.
 
     So what shares weights among the sizes takes no logarithm of each.
     """
 
     exponent: Tensor
     """``(C, ...)``"""
-    amplitude: Tensor
+    factor: Tensor
     """``(C, ...)`` above 0."""
 
     def log(self, i: int) -> Tensor:
         """Its log ``(...)`` for one size."""
-        return self.exponent[i] + 2 * self.amplitude[i].log()
+        return self.exponent[i] + self.factor[i].log()
 
 
 class Updated(NamedTuple):
@@ -102,14 +102,15 @@ def _together(rows: Tensor, residual: Tensor, noise: Tensor, missing: Tensor) ->
     """
     squares, k = rows.square().sum((-2, -1)), rows.shape[-1]
     width = (1 + squares).sqrt()[..., None]  # of the prior in some direction, in units of the noise
-    scaled = rows / width[..., None]
-    inverse, largest, share = 1 / noise, noise[-1:], 1 / (1 + squares)
+    narrow = 1 / width
+    scaled, share = rows * narrow[..., None], narrow[..., 0].square()
+    inverse, largest = 1 / noise, noise[-1:]
     # Less, of noise whose square overflows, is nothing beside 1 either, and the root of that has a derivative.
     s, times = inverse.square().clamp_min(torch.finfo(noise.dtype).tiny), largest * inverse
     residual = residual / largest[..., None]
-    mean = (scaled.mT @ residual[..., None])[..., 0] / width
+    mean = (scaled.mT @ residual[..., None])[..., 0] * narrow
     distance, across = share * residual.square().sum(-1), s * (1 - share)
-    roots = (torch.eye(k, dtype=rows.dtype, device=rows.device) / width[..., None]).unsqueeze(0)
+    roots = (torch.eye(k, dtype=rows.dtype, device=rows.device) * narrow[..., None]).unsqueeze(0)
     if k == 2:
         a, b, c, d = scaled.flatten(-2).unbind(-1)
         area = (a * d - b * c)[..., None] * width
@@ -122,7 +123,7 @@ def _together(rows: Tensor, residual: Tensor, noise: Tensor, missing: Tensor) ->
     factor = 1 / (share + across)
     shares = torch.stack([factor, s * factor][:k])
     distance = times * (times * (factor * distance))
-    density = Density(-0.5 * distance - (1 - missing).sum(-1) * noise.log(), (factor.sqrt() / width[..., 0]).sqrt())
+    density = Density(-0.5 * distance - (1 - missing).sum(-1) * noise.log(), factor.sqrt() * narrow[..., 0])
     return Updated((times * inverse * factor)[..., None] * mean, roots, shares), density
 
 
