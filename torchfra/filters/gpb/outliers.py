@@ -483,10 +483,11 @@ class Outliers(Part):
         single = len(self.blocks) == 1
         shares = noise.shares + modes.begun * (noise.large - noise.shares)
         unreliable = safe_divide(modes.begun * noise.large + modes.lasted * noise.shares, shares)
-        log_prior = modes.outlier.log() + safe_log(shares)
+        prior = modes.outlier * shares
         if not single:
-            log_prior = torch.cat([torch.log1p(-modes.outlier).unsqueeze(0), log_prior])
-        joint, factor, log_ratio = density.exponent[single:] + log_prior, density.factor[single:], None
+            prior = torch.cat([1 - modes.outlier.unsqueeze(0), prior])
+        joint = density.exponent[single:] + torch.where(prior > 0, 0.0, -torch.inf)
+        factor, log_ratio = torch.where(prior > 0, prior, 1.0) * density.factor[single:], None
         if change is not None:  # one more mode, which the noise of two steps explains
             probability, whitened = change
             _, same = update(whitened.spread, whitened.residual, (2 * noise.sizes[:1]).sqrt(), missing)
