@@ -38,12 +38,12 @@ class Regimes(NamedTuple):
 
     motions: list[int]  # of each level
     levels: list[Any]  # factors on Q, or matrices (n,n) by which its entries are multiplied
-    jumps: list[float]  # how much wider the home level's predicted position is, times its NIS per element
+    jumps: list[float]  # how much wider the predicted position is, times its NIS per element, as stated
     transition: Array  # (B,B) without jumps, [i, j] = P(now j | was i), levels and manoeuvres
     unmeasured: Array  # (B,B) the same in a step without any measurement
     first: Array  # (B,) probabilities before the first step
     home: int
-    manoeuvres: tuple[float, ...] = ()  # times that NIS: factors on the home level's factor on Q; after the levels
+    manoeuvres: tuple[float, ...] = ()  # times that NIS: factors on Q, at least the home level's; after the levels
     seconds: Callable[[int], tuple[Array, Array]] | None = None  # instead: (B,) what lasts, (B,B) the transition
     burst: float = 4.0  # equal outliers in a row that are no jump
     steps: Any = 1.0  # seconds of each step, one number or (T,)
@@ -220,35 +220,58 @@ def widening(prediction: Belief, z: Array, model: Model, k: int) -> float:
     return float(min(max(excess, 1.0), LARGEST))
 
 
+class Fit(NamedTuple):
+    """How well a prediction explains a measurement, in units of its noise."""
+
+    width: float  # log of the root of the determinant of the innovation's covariance
+    square: float  # normalised innovation squared
+
+    @staticmethod
+    def of(prediction: Belief, z: Array, model: Model, k: int) -> Fit:
+        if not present(z):
+            return Fit(0.0, 0.0)
+        m, R = read(prediction, z, model, k), measurement_noise(model, k, present(z))
+        return Fit(0.5 * (np.linalg.slogdet(m.Pzz)[1] - np.linalg.slogdet(R)[1]), fit(m.e, m.Pzz)[0])
+
+
+class Jumped(NamedTuple):
+    """Manoeuvres and jumps, as wide as the measurement asks for, and what the measurement says of each mode."""
+
+    predictions: Beliefs
+    rarity: Array  # (2, M + J) logs of how rare they are
+    factors: dict[tuple[int, int], tuple[Array, Array]]  # by what a state is multiplied (n,), and process noise (n,n)
+    costs: list[float]  # how much less likely the measurement is as outliers
+    known: list[float]  # how wide a target is seen of which the velocity and the acceleration are known
+    least: float  # cost of outliers beside which a jump is seen
+
+
 def jumped(
     mixed: Beliefs, motions: list[Propagate], regimes: Regimes, position: slice, z: Array, model: Model, k: int,
     outlying: OutlierModes, transition: Array, begins: bool,
-) -> tuple[Beliefs, Array, dict[tuple[int, int], tuple[Array, Array]], list[float]]:  # fmt: skip
-    """Manoeuvres and jumps, as wide as the measurement asks for, up to LARGEST; (2, M + J) logs of how rare they are.
-
-    Also, for all regimes, by what the state is multiplied after the transition (n,), and the process noise (n,n); and
-    how much less likely the measurement is as outliers.
-    """
-    after, rarity, factors, costs = {}, [], {}, []
-    level = regimes.levels[regimes.home]
+) -> Jumped:  # fmt: skip
+    """Manoeuvres and jumps, up to LARGEST."""
+    found = Jumped({}, np.zeros((2, 0)), {}, [], [], 0.0)
+    after, factors, rarity, level = found.predictions, found.factors, [], regimes.levels[regimes.home]
     for q in MODES:
         mean, J, Q = motions[0](*mixed[q, 0], k)
-        P = J + level * Q
+        P = J + Q
         m = read((mean, P), z, model, k)
-        nis = fit(m.e, m.Pzz)[0] / max(len(m.e), 1)
+        count, free = len(m.e), max(min(len(m.e), position.stop), 1)
+        nis = fit(m.e, m.Pzz)[0] / max(count, 1)
         R = measurement_noise(model, k, present(z))
-        seen = np.trace(np.linalg.solve(R, m.Pzz - R)) if len(m.e) else 0.0
-        place, stated = np.diag(P)[position].sum(), np.diag(J + Q)
-        usual = math.log(1 + seen * stated[position].sum() / place / max(len(m.e), 1))
-        rarer, beyond = cost(m.e, z, model, k, outlying, transition, position.stop, min(usual, EXPECTED))
-        costs.append(rarer)
+        seen = np.trace(np.linalg.solve(R, m.Pzz - R)) if count else 0.0
+        usual = math.log(1 + seen / max(count, 1))
+        rarer, beyond, least = cost(m.e, z, model, k, outlying, transition, position.stop, min(usual, EXPECTED))
+        found.costs.append(rarer)
+        width, square = Fit.of((mean, P), z, model, k)
+        found.known.append(max(count / 2 * min(usual, EXPECTED), width - max(square / 2 - least, 0.0)))
         unchanged, beliefs = np.ones(len(mean)), [*regimes.motions, *[regimes.landed] * len(regimes.settled)]
         each = [*range(len(regimes.levels)), *range(regimes.jumping.stop, len(regimes.beliefs))]
         for r, belief, factor in zip(each, beliefs, [*regimes.levels, *regimes.settled], strict=True):
             motion = motions[0 if belief == regimes.landed else belief]
             factors[q, r] = unchanged, factor * motion(*mixed[q, belief], k)[2]
         for r, factor in enumerate(regimes.manoeuvres, len(regimes.levels)):
-            factors[q, r] = unchanged, level * min(max(factor * nis, 1.0), LARGEST) * Q
+            factors[q, r] = unchanged, max(level, min(factor * nis, LARGEST)) * Q
             after[q, r] = mean, J + factors[q, r][1]
         rare = 0.0
         for r, jump in zip(regimes.jumping, regimes.jumps, strict=True):
@@ -260,47 +283,38 @@ def jumped(
                 if len(rates) and np.diag(P)[rates].any():
                     faster = 3 * np.linalg.norm(mean[rates]) / math.sqrt(np.diag(P)[rates].mean())
                     widen[rates] = min(math.sqrt(size), max(1.0, faster))
-            factors[q, r] = widen, (level * Q + offset) * np.outer(widen, widen)
+            factors[q, r] = widen, (Q + offset) * np.outer(widen, widen)
             after[q, r] = mean, (P + offset) * np.outer(widen, widen)
             if rarer > 0:
-                free = min(len(m.e), position.stop)
                 burst = PRIOR_BURST if begins else regimes.burst
                 own = free / 2 * (math.log(1 + size * seen / free) - 1 - usual)
-                left = given(after[q, r][1], stated, place / seen, burst, position.stop, at(regimes.steps, k))
                 first = max(math.log(transition[1, 1] / max(transition[0, 1], 1e-12)), 0.0)
-                if begins:  # so little is given before that two outliers are likelier
-                    beyond, left = 1.0, min(left, 0.3 * rarer)
                 wide, most = free / 2 * (usual - min(usual, EXPECTED)), own - rarer - first
-                rare = min(min(beyond, 1.0) * (most + wide + left) - (burst - 0.7) * rarer, most)
+                beyond = 1.0 if begins else min(beyond, 1.0)
+                rare = min(beyond * (most + wide) - (burst - 0.7) * rarer, most)
         manoeuvre = -2 * math.log(max(nis / 30.0, 1.0))
         rarity.append([manoeuvre] * len(regimes.manoeuvres) + [rare] * len(regimes.jumps))
-    return after, np.array(rarity), factors, costs
+    return found._replace(rarity=np.array(rarity), least=least)
 
 
-def given(P: Array, stated: Array, noise: float, burst: float, dims: int, dt: float) -> float:
-    """Log of what later measurements are less likely after a jump, as the velocity and the acceleration are unknown.
-
-    With the jump's covariance (n,n), the variances (n,) as stated, and that of the measurement as a place.
-    """
-    count, total = burst + 1, 0.0
-    for order in (1, 2):  # by the variance of a coefficient of an orthogonal polynomial
-        told = noise / dt ** (2 * order)
-        told *= 12 / (count * (count**2 - 1)) * (60 / max(count**2 - 4, 1e-12) if order == 2 else 1.0)
-        i = slice(order * dims, min((order + 1) * dims, len(P)))
-        if i.start < i.stop:  # its determinant where all before it are known
-            before = slice(0, i.start)
-            left = P[i, i] - P[i, before] @ np.linalg.pinv(P[before, before], hermitian=True) @ P[before, i]
-            total += max(0.0, np.linalg.slogdet(left / max(stated[i].mean(), told))[1]) / 2
-    return total
+def given(predictions: Beliefs, regimes: Regimes, jump: Jumped, chance: Array, z: Array, model: Model, k: int) -> Array:
+    """Logs (2,) of what a settled target is given back, as its velocity and its acceleration are unknown."""
+    if not regimes.settled or not present(z):
+        return np.zeros(2)
+    likelier = int(log_sum(chance[1]) > log_sum(chance[0]))
+    found = [Fit.of(predictions[q, regimes.jumping.stop], z, model, k) for q in MODES]
+    nearer = [max(len(present(z)) - fit.square, 0.0) / 2 for fit in found]
+    off = [max(fit.square / 2 - jump.least, 0.0) for fit in found]
+    return np.array([max(found[q].width - jump.known[likelier] - nearer[q] - off[q], 0.0) for q in MODES])
 
 
 def cost(
     e: Array, z: Array, model: Model, k: int, q: OutlierModes, transition: Array, dims: int, usual: float
-) -> tuple[float, float]:
-    """Log of how much less likely a measurement is as outliers that last than as stated; how far above its least."""
+) -> tuple[float, float, float]:
+    """Log of how much less likely a measurement is as outliers that last than as stated, how far above its least."""
     measured = present(z)
     if not measured:
-        return 0.0, 0.0
+        return 0.0, 0.0, 0.0
     whole = np.zeros(len(z))
     whole[measured] = np.linalg.solve(np.linalg.cholesky(measurement_noise(model, k, measured)), e)
     rare = -math.log(max(*transition[:, 1], 1e-12))
@@ -312,7 +326,7 @@ def cost(
         total += min(square / 2, rare - math.log(np.dot(q.shares, each)) - count / 2 * (1 + usual))
         least += rare - math.log(q.shares[-1]) + len(block) / 2 * (math.log(LEAST) - EXPECTED)
     total, least = total * min(1.0, dims / len(measured)), least * min(1.0, dims / len(z))
-    return max(total, least), max(total - least, 0.0)
+    return max(total, least), max(total - least, 0.0), least
 
 
 def paths(
@@ -717,14 +731,18 @@ def step(
     predictions = predicted(mixed, motions, regimes, k)
     over = q.over(seconds)
     begins = c.count < -math.log2(0.7)
-    after_jumps, rarity, factors, costs = jumped(mixed, motions, regimes, position, z, model, k, q, over, begins)
-    predictions |= after_jumps
-    moved = paths(mixed, predictions, regimes, factors, q, k) if q.same_offset else {}
+    jump = jumped(mixed, motions, regimes, position, z, model, k, q, over, begins)
+    predictions |= jump.predictions
+    moved = paths(mixed, predictions, regimes, jump.factors, q, k) if q.same_offset else {}
     chance = np.array([[log_sum(log_pairs[q, :, r]) for r in range(len(beliefs))] for q in MODES])
+    # What a settled target does not know is no evidence, from the fourth measurement on.
+    unknown = np.zeros(2)
+    if c.count >= -math.log2(0.2):
+        unknown = given(predictions, regimes, jump, chance, z, model, k)
     jumps = regimes.jumping
     if jumps and not nothing:  # as likely as all regimes together that are not settled, but for how rare they are
         chance[:, jumps] = [[log_sum(row[: jumps.start])] * len(jumps) for row in chance] + np.log(regimes.shares)
-    chance[:, len(regimes.levels) : jumps.stop] += rarity
+    chance[:, len(regimes.levels) : jumps.stop] += jump.rarity
     wider, rare, begun = c.wider, [0.0, 0.0], 0.0
     if begins and not nothing:
         wider = widening(predictions[1, 0], z, model, k)
@@ -733,7 +751,7 @@ def step(
             for key, (mean, P) in predictions.items()
             if key[0] and key[1] not in jumps
         }
-        rare = [min(i * 3 * math.log(wider), (PRIOR_BURST + i - 1.8) * costs[1]) for i in (1, 2)]
+        rare = [min(i * 3 * math.log(wider), (PRIOR_BURST + i - 1.8) * jump.costs[1]) for i in (1, 2)]
     if -math.log2(0.7) <= c.count < -math.log2(0.2) and wider > 1 and not nothing:
         # What a prior that is off does not know is no evidence.
         m = read(predictions[0, 0], z, model, k)
@@ -744,6 +762,10 @@ def step(
     settled = [r for r, belief in enumerate(beliefs) if jumps and belief == regimes.landed]
     every = [
         h._replace(log_weight=h.log_weight + min(gains[h.now, h.before], 0.0 if h.regime in settled else math.inf))
+        for h in every
+    ]
+    every = [
+        h._replace(log_weight=h.log_weight + unknown[h.before]) if h.now == 0 and h.regime >= jumps.stop else h
         for h in every
     ]
     log_likelihood, (mean, P) = merged(every)

@@ -119,7 +119,7 @@ def gpb(
         separate_levels: the number of lowest levels that keep beliefs of their own, or the indices of any; the others
             share one.  None is the value of ``manoeuvres``, and 0 for one level.  With 0 the calm level can hardly be
             distinguished from the others, and errors of targets that hardly manoeuvre are far larger.
-        manoeuvre_factors: factors on the variance of the last level's process noise in a manoeuvre, per unit of the
+        manoeuvre_factors: factors on the variance of the stated process noise in a manoeuvre, per unit of the
             normalised innovation squared per element.
         jump_factors: factors on the covariance of the position after a jump, per unit of the normalised innovation
             squared per element.

@@ -30,7 +30,7 @@ from torchfra.filters.gpb.hypotheses import (
 )
 from torchfra.filters.gpb.noise import LearnedNoise, NoiseScale, factors, measured_blocks
 from torchfra.filters.gpb.outliers import Modes, Outliers
-from torchfra.filters.gpb.regimes import LARGEST_FACTOR, PRIOR_BURST, Regime, Regimes, Surprise, Switching
+from torchfra.filters.gpb.regimes import LARGEST_FACTOR, PRIOR_BURST, Fit, Regime, Regimes, Surprise, Switching
 from torchfra.filters.gpb.slopes import (
     Line,
     along,
@@ -220,7 +220,7 @@ class GPB(Filter[GPBState]):
         unreliable = outliers.unreliable_next(state.outlier, state.unreliable)
         log_mode, modes = outliers.predict(state.outlier, unreliable, relaxation, measured)
         rarity = self.outlying_rarity(state, predicted, surprise.cost, widening, frame)
-        log_mode = log_mode + regimes.given_back(rarity)
+        log_mode = log_mode + regimes.given_back(rarity, surprise.given)
         change = self.compare_change(state, modes, relaxation, mixed, surprise.nis, frame)
         compare = self.comparison(predicted.of([regimes.widest]).belief, frame)
         updates = outliers.update(
@@ -316,28 +316,33 @@ class GPB(Filter[GPBState]):
             relaxation: from ``Outliers.relaxation``.
 
         Returns:
-            Hypotheses ``(1, R, 2, ...)``; how far the measurement is from the prediction by the agile level; and the
-            factor ``(...)`` on the covariance of an outlying prior, for ``outlying_rows``.
+            Hypotheses ``(1, R, 2, ...)``; how far the measurement is from the prediction as stated; and the factor
+            ``(...)`` on the covariance of an outlying prior, for ``outlying_rows``.
         """
         propagated = propagate_motions(self.bank, self.motion_rule, mixed, frame)
         # Columns may be of any scale; beside a triangle the noise leaves them so.
         propagated = propagated._replace(spread=tria(propagated.spread))
-        wide = self.regimes.agile_prediction(propagated)
-        agile = wide._replace(scale_tril=tria(wide.scale_tril, graded=False))
-        compared = self.compare(read(agile, frame), frame)
-        _, normalised = innovation(compared)
-        nis = normalised.square().sum(-1) / frame.measured.sum(-1).clamp_min(1.0)
-        first = doubt > FIRST
-        nis = torch.where((frame.dt == 0) & ~first, 0.0, nis)  # over 0 seconds nothing manoeuvres or jumps
-        jumps = self.regimes.jump_roots(agile, nis, self.motion)
-        jumped = self.regimes.jumped(propagated, agile, compared, nis, jumps, frame, self.motion, first)
+        any_root = self.regimes.as_stated(propagated)
+        stated = any_root._replace(scale_tril=tria(any_root.scale_tril, graded=False))
+        compared = self.compare(read(stated, frame), frame)
+        fit, count, first = Fit.of(compared), frame.measured.sum(-1), doubt > FIRST
+        # Over 0 seconds nothing manoeuvres or jumps.
+        nis = torch.where((frame.dt == 0) & ~first, 0.0, fit.squares / count.clamp_min(1.0))
+        jumped = self.regimes.jumped(compared, nis, count, self.motion.dims, first)
         cost, least = self.outliers_of(frame.sensor).cost(
             compared.residual, frame.measured, relaxation, self.motion.dims, jumped.expected
         )
         rarer = self.outliers.first_rarer(frame.measured, relaxation)
         rarity = self.regimes.rarity(cost, cost - least, rarer, jumped, first)
-        surprise = Surprise(nis, rarity, cost)
-        mean, root = self.regimes.predictions(propagated, nis, jumps)
+        mean, root = self.regimes.predictions(propagated, nis, self.regimes.jump_roots(stated, nis, self.motion))
+        given = torch.zeros_like(nis)
+        if "settled" in self.regimes.kinds:
+            at = self.regimes.kinds.index("settled")
+            settled = Gaussian(mean[:, at : at + 1], root[:, at : at + 1])
+            found = Fit.of(self.compare(read(settled, frame), frame))
+            given = self.regimes.unknown(found, fit, jumped.expected, least, log_weight, count)
+            given = torch.where((doubt > THIRD) | (count == 0), 0.0, given)
+        surprise = Surprise(nis, rarity, cost, given)
         widening = self.widening(Gaussian(mean[0, 0, -1], root[0, 0, -1]), frame, doubt)
         predicted = Gaussian(mean, self.outlying_rows(widening) * root)
         return Hypotheses(predicted, self.regimes.penalised(log_weight, surprise)), surprise, widening

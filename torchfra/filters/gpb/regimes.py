@@ -14,9 +14,9 @@ from torch.nn.functional import pad
 from torchfra.filters.gpb.hypotheses import BEFORE, MOTION, Hypotheses, merge, taken, values_first
 from torchfra.filters.gpb.outliers import EXPECTED
 from torchfra.filters.markov import generator, sojourn_times, transition_over
-from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.mixture import largest, log_sum, without_failed
 from torchfra.gaussian.model import Propagated
+from torchfra.gaussian.update import innovation
 from torchfra.hyper import Hyper, Part, Value, Values, once, one_given
 from torchfra.linalg.safe import safe_divide, safe_log, safe_sqrt
 from torchfra.linalg.triangular import hstack, tria
@@ -24,7 +24,7 @@ from torchfra.motion.base import Motion
 from torchfra.numbers import as_numbers, as_tensor
 from torchfra.types import Gaussian, Whitened
 
-LARGEST_FACTOR = 1e10
+LARGEST_FACTOR = 1e14
 """Largest factor of a jump, a manoeuvre or an outlying prior on a covariance, whatever the innovation."""
 SOONER = 0.7
 """By how many outliers a jump is likelier than one more than the longest burst: above 1/2, as measurements after a jump
@@ -60,7 +60,7 @@ class Regime(NamedTuple):
 
 
 class Surprise(NamedTuple):
-    """How far a measurement is from its prediction by the agile level, which manoeuvres and jumps scale with."""
+    """How far a measurement is from its prediction as stated, which manoeuvres and jumps scale with."""
 
     nis: Tensor
     """``(1, 1, 2, ...)`` normalised innovation squared per element."""
@@ -68,6 +68,23 @@ class Surprise(NamedTuple):
     """``(1, 1, 2, ...)`` log of the factor on the weight of a jump: see ``Regimes.rarity``."""
     cost: Tensor
     """``(1, 1, 2, ...)`` log of how much less likely it is as outliers than as stated: see ``Outliers.cost``."""
+    given: Tensor
+    """``(1, 1, 2, ...)`` log of what a settled target is given back: see ``Regimes.unknown``."""
+
+
+class Fit(NamedTuple):
+    """How well a prediction explains a measurement, both in units of its noise."""
+
+    width: Tensor
+    """``(...)`` log of the root of the determinant of the innovation's covariance."""
+    squares: Tensor
+    """``(...)`` sum of squares of the normalised innovation."""
+
+    @staticmethod
+    def of(compared: Whitened) -> Fit:
+        """By the measurement compared with the prediction."""
+        root, normalised = innovation(compared)
+        return Fit(root.diagonal(dim1=-2, dim2=-1).log().sum(-1), normalised.square().sum(-1))
 
 
 class Jumped(NamedTuple):
@@ -79,9 +96,6 @@ class Jumped(NamedTuple):
     """Of the measurement with which it comes, as a place that is as far off, beside that as stated."""
     wide: Tensor
     """Of the measurement as stated, beyond ``expected``: the prediction is as wide as a prior may be."""
-    lost: Tensor
-    """Of the measurements of the longest burst and the next one, as it knows less of the velocity and of the
-    acceleration than was stated, or than they themselves tell."""
     burst: Tensor
     """How many measurements the longest burst has."""
 
@@ -104,10 +118,10 @@ class Regimes(Part):
 
     There are ``R = L + (K - 1) + C + M + J + D`` regimes, in this order.  The first motion has ``L`` levels of process
     noise, the last of which is called the agile level.  Each other motion of a bank is one regime, and so is each of
-    ``C`` climbs (below).  In each of ``M`` manoeuvres the process noise of the agile level is multiplied in proportion
-    to the normalised innovation squared; so is the covariance of the predicted position in each of ``J`` jumps.  A
-    regime continues with its self-transition probability, or a mean sojourn time; then the next one is drawn from the
-    restart distribution.  The chain starts from its stationary distribution.  Self-transition probabilities or sojourn
+    ``C`` climbs (below).  In each of ``M`` manoeuvres the process noise is multiplied in proportion to the normalised
+    innovation squared; so is the covariance of the predicted position in each of ``J`` jumps.  A regime
+    continues with its self-transition probability, or a mean sojourn time; then the next one is drawn from the restart
+    distribution.  The chain starts from its stationary distribution.  Self-transition probabilities or sojourn
     times and the restart distribution are given by kind, ``(..., L + 1 + M + J)``: each level, any other motion, each
     manoeuvre, each jump; so they fit banks of any size.  For three or more motions they may be by regime instead,
     ``(..., R - C - D)``, as for a bank of one motion at several ``q``, which are levels with separate beliefs.
@@ -139,9 +153,9 @@ class Regimes(Part):
             of a jump is of a settled target, and in measurements.
         restart: restart distribution, by kind or regime as these are, which sums to one; by kind, other motions share
             theirs evenly, and a level with its climb.  Of jumps it says only how they share what is theirs.
-        manoeuvre_factors: ``(..., M)`` factors on the variance of the last level's process noise per unit of the
-            normalised innovation squared per element; the product is 1 at least.  Beyond five standard deviations its
-            weight falls with its size, as a single large innovation is rather an outlier.
+        manoeuvre_factors: ``(..., M)`` factors on the variance of the stated process noise per unit of the normalised
+            innovation squared per element; the product is that of the agile level at least.  Beyond five
+            standard deviations its weight falls with its size, as a single large innovation is rather an outlier.
         burst: how many equal outliers in a row are taken for outliers; measurements that stay where they are for longer
             are taken for a jump.
         separate_levels: the levels with beliefs of their own, fewer than all: the number of the lowest, or the indices
@@ -193,7 +207,7 @@ class Regimes(Part):
             *(Regime("motion", k, agile + 1, agile + (1 if by_kind else k)) for k in range(1, motions)),
             *(Regime("climb", motions + len(own) + i, level, level) for i, level in enumerate(climbs)),
             *(Regime("manoeuvre", 0, agile, first + i) for i in range(scaled - jump_count)),
-            *(Regime("jump", landed, agile, first + i, source=0) for i in range(scaled - jump_count, scaled)),
+            *(Regime("jump", landed, agile + 1, first + i, source=0) for i in range(scaled - jump_count, scaled)),
             *(Regime("settled", landed, level, first + scaled - 1) for level in settled),
         )
         """The regimes."""
@@ -383,53 +397,35 @@ class Regimes(Part):
         total = landed.sum(axis, keepdim=True)
         return torch.cat([others, torch.zeros_like(landed.narrow(axis, 0, jumps)), *map(total.mul, shares)], axis)
 
-    def jumped(
-        self, propagated: Propagated, agile: Gaussian, compared: Whitened, nis: Tensor, roots: Tensor, frame: Frame,
-        motion: Motion, first: Tensor,
-    ) -> Jumped:  # fmt: skip
-        """What a jump costs by itself, in the step in which it comes and after it.
+    def jumped(self, compared: Whitened, nis: Tensor, count: Tensor, dims: int, first: Tensor) -> Jumped:
+        """What a jump costs by itself, in the step in which it comes.
 
         Args:
-            propagated: ``(1, S, 2, ...)``, each belief by its motion.
-            agile: ``(1, 1, 2, ..., n)`` prediction by the agile level, with a lower root.
-            compared: the measurement compared with it.
-            nis: ``(1, 1, 2, ...)`` normalised innovation squared per element, by that prediction.
-            roots: from ``jump_roots``.
-            frame: of the step.
-            motion: as in ``widths``.
+            compared: the measurement compared with the prediction as stated.
+            nis: ``(1, 1, 2, ...)`` normalised innovation squared per element.
+            count: ``(...)`` measured elements.
+            dims: of space.
             first: ``(...)`` whether the measurement is the first, and a jump a prior that is off.
         """
-        stated = hstack(propagated.spread[:, :1], propagated.process_noise[:, :1]).square().sum(-1)
-        place, before = [x[..., motion.position].sum(-1) for x in (agile.scale_tril.square().sum(-1), stated)]
-        seen, count = compared.spread.square().sum((-2, -1)), frame.measured.sum(-1)
-        usual = safe_divide(seen * safe_divide(before, place), count).log1p()
+        seen = compared.spread.square().sum((-2, -1))
+        usual = safe_divide(seen, count).log1p()
         expected = usual.clamp(max=EXPECTED)
         if "jump" not in self.kinds:
-            return Jumped(expected, *[torch.zeros_like(seen)] * 4)
-        # The diagonal of a root: what a component varies by where those before it are known, as after a measurement.
-        variances = roots[:, -1:].diagonal(dim1=-2, dim2=-1).square()
-        longest = torch.where(first, PRIOR_BURST, self.burst(seen))
-        told, lost = safe_divide(place, seen), torch.zeros_like(seen)
-        for order, part in enumerate(_derivatives(motion), 1):
-            if part:  # of all its components together, whatever the axes
-                enough = told * safe_divide(_told(order, longest + 1), frame.dt ** (2 * order))
-                known = torch.maximum(taken(stated, part, -1).mean(-1), enough)
-                less = 0.5 * safe_log(safe_divide(taken(variances, part, -1), known.unsqueeze(-1))).sum(-1)
-                lost = lost + torch.where(seen > 0, less.clamp_min(0.0), 0.0)
-        free = count.clamp(1.0, motion.dims)
+            return Jumped(expected, *[torch.zeros_like(seen)] * 3)
+        free = count.clamp(1.0, dims)
         wider = self._jumps(nis)[:, -1:] * seen / free
         own = 0.5 * free * (wider.log1p() - 1 - usual)
-        return Jumped(expected, own, 0.5 * free * (usual - expected), lost, longest)
+        longest = torch.where(first, PRIOR_BURST, self.burst(seen))
+        return Jumped(expected, own, 0.5 * free * (usual - expected), longest)
 
     def rarity(self, cost: Tensor, beyond: Tensor, rarer: Tensor, jumped: Jumped, first: Tensor) -> Tensor:
         """Log ``(1, 1, 2, ...)`` of the factor on the weight of a jump, so that it is as rare as a burst of outliers.
 
         A jump and a burst of equal outliers are the same until the burst ends.  With its own density it is as rare as
         ``burst + 1 - SOONER`` outliers: it is less likely than outliers at the last measurement of the longest burst,
-        and more likely at the next one, unless the tail of the agile level is likelier than both.  What it will have
-        lost by then is given before, where a measurement is beyond the least of outliers (nearer by, the target need
-        not have jumped).  With the first measurement it is given no more than what leaves two outliers likelier.
-        However wide the prediction is, it is at least as rare as a first outlier.
+        and more likely at the next one, unless the tail of the agile level is likelier than both.  Its own density is
+        given where a measurement is beyond the least of outliers (nearer by, the target need not have jumped).  However
+        wide the prediction is, it is at least as rare as a first outlier.
 
         Args:
             cost: ``(1, 1, 2, ...)`` log of how much less likely the measurement is as an outlier than as stated: see
@@ -443,18 +439,50 @@ class Regimes(Part):
             return -cost
         held = cost < torch.inf  # else it is an outlier, and nothing else has a gradient
         cost, beyond = torch.where(held, cost, 0.0), torch.where(held, beyond, 0.0)
-        lost = torch.where(first, torch.minimum(jumped.lost, (1 - SOONER) * cost), jumped.lost)
         most = jumped.own - cost - rarer
-        given = torch.where(first, 1.0, beyond.clamp(0.0, 1.0)) * (most + jumped.wide + lost)
+        given = torch.where(first, 1.0, beyond.clamp(0.0, 1.0)) * (most + jumped.wide)
         rarity = torch.where(cost > 0, torch.minimum(given - cost * (jumped.burst - SOONER), most), 0.0)
         return torch.where(held, rarity, -torch.inf)
 
-    def given_back(self, rarity: Tensor) -> Tensor:
-        """Logs ``(2, R, 2, ...)`` of factors ``(2, 1, 2, ...)`` by ``GPB.outlying_rarity``, for each regime.
+    def unknown(
+        self, settled: Fit, stated: Fit, expected: Tensor, least: Tensor, log_weight: Tensor, count: Tensor
+    ) -> Tensor:
+        """Log ``(1, 1, 2, ...)`` of what a settled target is given back of the density of a measurement.
 
-        What a prior that is off is given back, a settled target is not: a jump has been given it before.
+        After a jump its velocity and its acceleration are unknown, so its predictions are wide, the more the longer the
+        steps are.  That is no evidence against the jump: it is given back by how much it is wider than the prediction
+        of a target that has not jumped; and where that one is further off than the least of outliers, than what is
+        expected of a measurement.  What is nearer by than the width says is no evidence for the jump either, and what
+        is further off than the least of outliers is not to be explained by the agile level of a target that has jumped.
+
+        Args:
+            settled: the measurement and a settled target, by the stated motion.
+            stated: the measurement and the prediction as stated.
+            expected: as in ``Jumped``.
+            least: the least cost of outliers beside which a jump is seen: see ``Outliers.cost``.
+            log_weight: ``(1, R, 2, ...)`` of the regimes by their Markov chain.
+            count: ``(...)`` measured elements.
         """
-        return torch.where(self._landed(rarity[0]), rarity.clamp_max(0.0), rarity)
+        off, settled_off = [(0.5 * fit.squares - least).clamp_min(0.0) for fit in (stated, settled)]
+        known = torch.maximum(0.5 * expected * count, stated.width - off)
+        # By whichever is likelier, no outlier in the step before or some: the other may know of nothing but the jump.
+        none, some = log_sum(log_weight, MOTION).unsqueeze(MOTION).unbind(BEFORE)
+        known = torch.where(none >= some, *known.unbind(BEFORE)).unsqueeze(BEFORE)
+        given = settled.width - known - 0.5 * (count - settled.squares).clamp_min(0.0) - settled_off
+        return torch.where(given > 0, given, 0.0)  # a belief without weight may have failed
+
+    def given_back(self, rarity: Tensor, given: Tensor) -> Tensor:
+        """Logs ``(2, R, 2, ...)`` of factors on modes for each regime.
+
+        What a prior that is off is given back, a settled target is not: it is given back what it does not know itself,
+        as of an inlier.
+
+        Args:
+            rarity: ``(2, 1, 2, ...)`` from ``GPB.outlying_rarity``.
+            given: ``(1, 1, 2, ...)`` from ``unknown``.
+        """
+        factors = torch.where(self._landed(rarity[0]), rarity.clamp_max(0.0), rarity)
+        return factors + self.among("settled", torch.cat([given, torch.zeros_like(given)]), 0.0)
 
     def penalised(self, log_weight: Tensor, surprise: Surprise) -> Tensor:
         """Log weights ``(..., R, 2, ...)`` in which large jumps and manoeuvres are less likely.
@@ -488,22 +516,21 @@ class Regimes(Part):
 
     # ------------------------------------------------------------ predictions
 
-    def agile_prediction(self, propagated: Propagated) -> Gaussian:
-        """The prediction ``(1, 1, 2, ..., n)``, with any root, by the last level of the first motion.
+    def as_stated(self, propagated: Propagated) -> Gaussian:
+        """The prediction ``(1, 1, 2, ..., n)``, with any root, by the first motion as it is stated.
 
         Args:
             propagated: ``(1, S, 2, ...)``, each belief by its motion.
         """
-        noise = self.noise_levels(propagated.mean)[..., -1].sqrt()[..., None, None] * propagated.process_noise[:, :1]
-        return Gaussian(propagated.mean[:, :1], hstack(propagated.spread[:, :1], noise))
+        return Gaussian(propagated.mean[:, :1], hstack(propagated.spread[:, :1], propagated.process_noise[:, :1]))
 
-    def jump_roots(self, agile: Gaussian, nis: Tensor, motion: Motion) -> Tensor:
-        """Roots ``(1, J, 2, ..., n, n)`` of predictions by jumps, from that by the agile level with a lower root."""
+    def jump_roots(self, stated: Gaussian, nis: Tensor, motion: Motion) -> Tensor:
+        """Roots ``(1, J, 2, ..., n, n)`` of predictions by jumps, from that as stated with a lower root."""
         if "jump" not in self.kinds:
-            return agile.scale_tril[:, :0]
+            return stated.scale_tril[:, :0]
         factors = self._jumps(nis)
-        offsets = self._offsets(agile, factors, motion)
-        roots: Tensor = self.widths(agile, factors, motion) * tria(hstack(agile.scale_tril, offsets))
+        offsets = self._offsets(stated, factors, motion)
+        roots: Tensor = self.widths(stated, factors, motion) * tria(hstack(stated.scale_tril, offsets))
         return roots
 
     def predictions(self, propagated: Propagated, nis: Tensor, jumps: Tensor) -> Gaussian:
@@ -515,7 +542,7 @@ class Regimes(Part):
 
         Args:
             propagated: ``(1, S, 2, ...)``, each belief by its motion, with a lower root as spread.
-            nis: ``(1, 1, 2, ...)`` normalised innovation squared per element, by the agile level.
+            nis: ``(1, 1, 2, ...)`` normalised innovation squared per element, as stated.
             jumps: from ``jump_roots``.
         """
         root = tria(hstack(self.per_regime(propagated.spread), self._noise(propagated, nis)), graded=False)
@@ -527,9 +554,9 @@ class Regimes(Part):
         noise = self._noise(propagated, nis)
         if "jump" not in self.kinds:
             return Propagated(mean, spread, noise, None)
-        agile, factors = self.agile_prediction(propagated), self._jumps(nis)
-        widths = self.among("jump", self.widths(agile, factors, motion), 1.0)
-        offsets = self.among("jump", self._offsets(agile, factors, motion), 0.0)
+        stated, factors = self.as_stated(propagated), self._jumps(nis)
+        widths = self.among("jump", self.widths(stated, factors, motion), 1.0)
+        offsets = self.among("jump", self._offsets(stated, factors, motion), 0.0)
         return Propagated(mean, widths * spread, widths * hstack(noise, offsets), None)
 
     def _noise(self, propagated: Propagated, nis: Tensor) -> Tensor:
@@ -537,7 +564,7 @@ class Regimes(Part):
         variances = self._levels(nis[0])
         if self.manoeuvre_factors is not None:
             factors = values_first(self.manoeuvre_factors(nis), nis.dim() - 2) * nis
-            variances = variances * self.among("manoeuvre", factors.clamp(1.0, LARGEST_FACTOR), 1.0)
+            variances = torch.maximum(variances, self.among("manoeuvre", factors.clamp(max=LARGEST_FACTOR), 0.0))
         factors = variances.sqrt()[..., None, None]
         if "climb" in self.kinds:
             vertical = torch.tensor([i in self.vertical for i in range(propagated.mean.shape[-1])], device=nis.device)
@@ -552,7 +579,7 @@ class Regimes(Part):
         levels = torch.cat([levels, torch.ones_like(levels[:1])])
         return taken(levels, [regime.level for regime in self.each], 0).unsqueeze(0)
 
-    def widths(self, agile: Gaussian, factors: Tensor, motion: Motion) -> Tensor:
+    def widths(self, stated: Gaussian, factors: Tensor, motion: Motion) -> Tensor:
         """Factors ``(1, J, 2, ..., n, 1)`` on the rows of predicted roots: of velocity and acceleration in a jump.
 
         A receiver that was reset moves as before, a target that was carried elsewhere in any direction, and faster: a
@@ -560,11 +587,11 @@ class Regimes(Part):
         that of an element; and so is one of the acceleration of its size.
 
         Args:
-            agile: ``(1, 1, 2, ..., n)`` prediction by the agile level, any root.
+            stated: ``(1, 1, 2, ..., n)`` prediction as stated, any root.
             factors: ``(1, J, 2, ...)`` on the covariance of the position, from ``_jumps``.
             motion: says which components of a state are its position and its velocity.
         """
-        mean, variances = agile.mean, agile.scale_tril.square().sum(-1)
+        mean, variances = stated.mean, stated.scale_tril.square().sum(-1)
         jump, rows = factors.sqrt(), dict[int, Tensor]()
         for part in filter(None, _derivatives(motion)):
             size = safe_sqrt(taken(mean, part, -1).square().sum(-1))
@@ -577,10 +604,10 @@ class Regimes(Part):
         """Factors ``(1, J, 2, ...)`` on the covariance of the position by jumps."""
         return (values_first(self.jump_factors(nis), nis.dim() - 2) * nis).clamp(1.0, LARGEST_FACTOR)
 
-    def _offsets(self, agile: Gaussian, factors: Tensor, motion: Motion) -> Tensor:
+    def _offsets(self, stated: Gaussian, factors: Tensor, motion: Motion) -> Tensor:
         """Roots ``(1, J, 2, ..., n, p)`` of what jumps add to the covariance of the position, by any root of it."""
         place = as_tensor([float(i in range(motion.size)[motion.position]) for i in range(motion.size)], factors)
-        return safe_sqrt(factors - 1)[..., None, None] * place.unsqueeze(-1) * agile.scale_tril
+        return safe_sqrt(factors - 1)[..., None, None] * place.unsqueeze(-1) * stated.scale_tril
 
     # ------------------------------------------------------------ regimes and their beliefs
 
@@ -651,10 +678,10 @@ class Regimes(Part):
         return taken(values_first(kinds, rank), self.entries, 0)
 
     def among(self, kind: str, values: Tensor, others: Tensor | float) -> Tensor:
-        """Values ``(1, R, 2, ...)`` of regimes: those ``(1, 1 or more, 2, ...)`` of a kind, and of all ``others``."""
+        """Values ``(J, R, 2, ...)`` of regimes: those ``(J, 1 or more, 2, ...)`` of a kind, and of all ``others``."""
         count = self.kinds.count(kind)
         if isinstance(others, float):
-            others = values.new_full((1, len(self.each), *values.shape[2:]), others)
+            others = values.new_full((len(values), len(self.each), *values.shape[2:]), others)
         if not count:
             return others
         first, rest = self.kinds.index(kind), values.shape[2:]
@@ -691,15 +718,6 @@ def _derivatives(motion: Motion) -> tuple[Sequence[int], Sequence[int]]:
     """The components of a state that are velocities, and those that are accelerations."""
     components = range(motion.size)
     return components[motion.velocity], [i for i in components if motion.kinds[i] == "acceleration"]
-
-
-def _told(order: int, count: Tensor) -> Tensor:
-    """What positions at so many steps, each with a variance of 1, tell of a derivative: its variance, in steps.
-
-    It is that of the coefficient of an orthogonal polynomial of this order, 1 or 2.
-    """
-    of = 12 / (count * (count.square() - 1))
-    return of if order == 1 else 60 * of / (count.square() - 4).clamp_min(NEVER)
 
 
 def _levels(separate: int | Sequence[int], count: int) -> tuple[int, ...]:

@@ -109,6 +109,7 @@ def _prior(
         same_offset = after.log_same_offset.movedim(-1, 0)
         none = torch.zeros_like(same_offset)
         log_mode = log_mode + torch.stack([torch.stack([none, none], 1), torch.stack([none, same_offset], 1)])
-    log_mode = log_mode + regimes.given_back(after.rarity.movedim((-2, -1), (0, 1)).unsqueeze(1))
+    rarity, given = after.rarity.movedim((-2, -1), (0, 1)).unsqueeze(1), surprise.given.squeeze(MOTION_BEFORE)
+    log_mode = log_mode + regimes.given_back(rarity, given)
     pairs: Tensor = log_mode.unsqueeze(MOTION_BEFORE) + regimes.penalised(regime.unsqueeze(0), surprise)
     return pairs
