@@ -239,7 +239,7 @@ def expected_with(case, motions, r, **more):
 
 def patient(options, r):
     """The same regimes, with jumps rarer than some outliers in a row, so that both have their say."""
-    return options | {"burst": 1.5}, r._replace(burst=1.5)
+    return options | {"burst": 1.0}, r._replace(burst=1.0)
 
 
 @pytest.mark.parametrize(("inform", "offset"), [(True, 0.4), (False, 0.0)])

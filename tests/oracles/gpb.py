@@ -26,7 +26,7 @@ MODES = (0, 1)
 READS = 2  # sensors read the position alone
 BLIND, NEAR, LARGEST, PRIOR_MARGIN, PRIOR_BURST = 0.02, 0.01, 1e10, 4.0, 2.0
 BENT, NEWTON, LEAST, EXPECTED = 9.0, 4, 30.0, 0.7
-AGILE_AFTER = 0.1  # of targets that have jumped
+AGILE_AFTER = 0.03  # of targets that have jumped
 
 
 class Regimes(NamedTuple):
@@ -241,7 +241,8 @@ class Jumped(NamedTuple):
     rarity: Array  # (2, M + J) logs of how rare they are
     factors: dict[tuple[int, int], tuple[Array, Array]]  # by what a state is multiplied (n,), and process noise (n,n)
     costs: list[float]  # how much less likely the measurement is as outliers
-    known: list[float]  # how wide a target is seen of which the velocity and the acceleration are known
+    expected: list[float]  # how much less likely it is expected to be than with its noise alone
+    off: list[float]  # how much further off it is than the least of outliers
     least: float  # cost of outliers beside which a jump is seen
 
 
@@ -250,7 +251,7 @@ def jumped(
     outlying: OutlierModes, transition: Array, begins: bool,
 ) -> Jumped:  # fmt: skip
     """Manoeuvres and jumps, up to LARGEST."""
-    found = Jumped({}, np.zeros((2, 0)), {}, [], [], 0.0)
+    found = Jumped({}, np.zeros((2, 0)), {}, [], [], [], 0.0)
     after, factors, rarity, level = found.predictions, found.factors, [], regimes.levels[regimes.home]
     for q in MODES:
         mean, J, Q = motions[0](*mixed[q, 0], k)
@@ -263,8 +264,8 @@ def jumped(
         usual = math.log(1 + seen / max(count, 1))
         rarer, beyond, least = cost(m.e, z, model, k, outlying, transition, position.stop, min(usual, EXPECTED))
         found.costs.append(rarer)
-        width, square = Fit.of((mean, P), z, model, k)
-        found.known.append(max(count / 2 * min(usual, EXPECTED), width - max(square / 2 - least, 0.0)))
+        found.expected.append(count / 2 * min(usual, EXPECTED))
+        found.off.append(max(Fit.of((mean, P), z, model, k).square / 2 - least, 0.0))
         unchanged, beliefs = np.ones(len(mean)), [*regimes.motions, *[regimes.landed] * len(regimes.settled)]
         each = [*range(len(regimes.levels)), *range(regimes.jumping.stop, len(regimes.beliefs))]
         for r, belief, factor in zip(each, beliefs, [*regimes.levels, *regimes.settled], strict=True):
@@ -290,8 +291,8 @@ def jumped(
                 own = free / 2 * (math.log(1 + size * seen / free) - 1 - usual)
                 first = max(math.log(transition[1, 1] / max(transition[0, 1], 1e-12)), 0.0)
                 wide, most = free / 2 * (usual - min(usual, EXPECTED)), own - rarer - first
-                beyond = 1.0 if begins else min(beyond, 1.0)
-                rare = min(beyond * (most + wide) - (burst - 0.7) * rarer, most)
+                rare = min(most + wide - (burst - 0.7) * rarer, most)
+                rare += 0.0 if begins else math.log(min(max(beyond, 0.01), 1.0))
         manoeuvre = -2 * math.log(max(nis / 30.0, 1.0))
         rarity.append([manoeuvre] * len(regimes.manoeuvres) + [rare] * len(regimes.jumps))
     return found._replace(rarity=np.array(rarity), least=least)
@@ -302,10 +303,12 @@ def given(predictions: Beliefs, regimes: Regimes, jump: Jumped, chance: Array, z
     if not regimes.settled or not present(z):
         return np.zeros(2)
     likelier = int(log_sum(chance[1]) > log_sum(chance[0]))
-    found = [Fit.of(predictions[q, regimes.jumping.stop], z, model, k) for q in MODES]
-    nearer = [max(len(present(z)) - fit.square, 0.0) / 2 for fit in found]
-    off = [max(fit.square / 2 - jump.least, 0.0) for fit in found]
-    return np.array([max(found[q].width - jump.known[likelier] - nearer[q] - off[q], 0.0) for q in MODES])
+    unknown = []
+    for q in MODES:
+        width, square = Fit.of(predictions[q, regimes.jumping.stop], z, model, k)
+        wider = width - jump.expected[likelier] - max(len(present(z)) - square, 0.0) / 2
+        unknown.append(max(min(wider - max(square / 2 - jump.least, 0.0), jump.off[likelier]), 0.0))
+    return np.array(unknown)
 
 
 def cost(

@@ -31,9 +31,12 @@ SOONER = 0.7
 are rather less likely than expected, by noise that is stated wrongly say, than more."""
 PRIOR_BURST = 2.0
 """How many equal outliers in a row at the beginning are taken for outliers: with one more the prior is off."""
-AGILE_AFTER = 0.1
+AGILE_AFTER = 0.03
 """Probability that a target that has jumped is as agile as the agile level: it may be too far off for a straight line
 of the sensor, or much faster than before."""
+NEARER = 0.01
+"""How much rarer a jump is with a measurement that is nearer than the least of outliers: the target need not have
+jumped."""
 FASTER = 3.0
 """Standard deviation of the velocity after a jump, in those of the speed before, at least; of the acceleration too."""
 NEVER = 1e-12
@@ -423,9 +426,9 @@ class Regimes(Part):
 
         A jump and a burst of equal outliers are the same until the burst ends.  With its own density it is as rare as
         ``burst + 1 - SOONER`` outliers: it is less likely than outliers at the last measurement of the longest burst,
-        and more likely at the next one, unless the tail of the agile level is likelier than both.  Its own density is
-        given where a measurement is beyond the least of outliers (nearer by, the target need not have jumped).  However
-        wide the prediction is, it is at least as rare as a first outlier.
+        and more likely at the next one, unless the tail of the agile level is likelier than both.  Where a measurement
+        is nearer than the least of outliers, it is rarer still.  However wide the prediction is, a jump is at least as
+        rare as a first outlier.
 
         Args:
             cost: ``(1, 1, 2, ...)`` log of how much less likely the measurement is as an outlier than as stated: see
@@ -440,8 +443,9 @@ class Regimes(Part):
         held = cost < torch.inf  # else it is an outlier, and nothing else has a gradient
         cost, beyond = torch.where(held, cost, 0.0), torch.where(held, beyond, 0.0)
         most = jumped.own - cost - rarer
-        given = torch.where(first, 1.0, beyond.clamp(0.0, 1.0)) * (most + jumped.wide)
-        rarity = torch.where(cost > 0, torch.minimum(given - cost * (jumped.burst - SOONER), most), 0.0)
+        seen = torch.where(first, 1.0, beyond.clamp(NEARER, 1.0)).log()
+        rarity = torch.minimum(most + jumped.wide - cost * (jumped.burst - SOONER), most) + seen
+        rarity = torch.where(cost > 0, rarity, 0.0)
         return torch.where(held, rarity, -torch.inf)
 
     def unknown(
@@ -450,10 +454,10 @@ class Regimes(Part):
         """Log ``(1, 1, 2, ...)`` of what a settled target is given back of the density of a measurement.
 
         After a jump its velocity and its acceleration are unknown, so its predictions are wide, the more the longer the
-        steps are.  That is no evidence against the jump: it is given back by how much it is wider than the prediction
-        of a target that has not jumped; and where that one is further off than the least of outliers, than what is
-        expected of a measurement.  What is nearer by than the width says is no evidence for the jump either, and what
-        is further off than the least of outliers is not to be explained by the agile level of a target that has jumped.
+        steps are.  That is no evidence against the jump: it is given back by how much they are wider than is expected
+        of a measurement, while the prediction as stated is further off than the least of outliers, and not more than it
+        is further off.  A measurement that is nearer than so wide a prediction says is no evidence for the jump either;
+        one that is further off is rather an outlier than due to the agile level of a target that has jumped.
 
         Args:
             settled: the measurement and a settled target, by the stated motion.
@@ -464,11 +468,11 @@ class Regimes(Part):
             count: ``(...)`` measured elements.
         """
         off, settled_off = [(0.5 * fit.squares - least).clamp_min(0.0) for fit in (stated, settled)]
-        known = torch.maximum(0.5 * expected * count, stated.width - off)
         # By whichever is likelier, no outlier in the step before or some: the other may know of nothing but the jump.
         none, some = log_sum(log_weight, MOTION).unsqueeze(MOTION).unbind(BEFORE)
-        known = torch.where(none >= some, *known.unbind(BEFORE)).unsqueeze(BEFORE)
-        given = settled.width - known - 0.5 * (count - settled.squares).clamp_min(0.0) - settled_off
+        expected, off = (torch.where(none >= some, *x.unbind(BEFORE)).unsqueeze(BEFORE) for x in (expected, off))
+        given = settled.width - 0.5 * expected * count - 0.5 * (count - settled.squares).clamp_min(0.0) - settled_off
+        given = torch.minimum(given, off)
         return torch.where(given > 0, given, 0.0)  # a belief without weight may have failed
 
     def given_back(self, rarity: Tensor, given: Tensor) -> Tensor:
