@@ -238,6 +238,31 @@ def test_four_equal_outliers_are_not_followed(index):
     assert (distance[:, :, 6:] < 0.1).all()  # it is back, from wherever it was
 
 
+@pytest.mark.parametrize("size", [1e5, 1e6])
+def test_however_far_a_target_jumps_it_is_followed_with_the_fifth_measurement(size):
+    f, prior, truth, z, _ = drifting(0.02)
+    away = size * ways(len(z)).unsqueeze(1)
+    z[:, JUMP:] += away
+    off = (f(z, prior).mean[..., :2] - truth[..., :2] - away)[:, JUMP:].norm(dim=-1)
+    assert (off[:, :4] > size / 2).all()
+    assert (off[:, 4:] < 10).all()
+
+
+def test_a_target_that_jumps_among_steps_of_very_different_lengths_is_followed_with_the_fifth_measurement():
+    """After short steps its acceleration is unknown still, and the next long one predicts hardly anything."""
+    g, motion, runs = torch.Generator().manual_seed(0), ConstantAcceleration(0.3), 20
+    dt = 0.3 * (2.5 * torch.randn(40, dtype=torch.float64, generator=g).clamp(-1, 1)).exp()
+    truth = dt.cumsum(0)[:, None] * tensor([9.0, 4.0])
+    z = truth + torch.randn(runs, 40, 2, dtype=torch.float64, generator=g)
+    first = torch.arange(runs) + 12
+    later = torch.arange(40) - first[:, None]
+    z = z + 1e4 * (later >= 0).unsqueeze(-1) * ways(runs).unsqueeze(1)
+    prior = Gaussian(tensor([0.0, 0, 9, 4, 0, 0]), tensor([1.0, 1, 2, 2, 0.5, 0.5]).diag())
+    off = (presets.gpb(motion, Position(1.0))(z, prior, dt=dt).mean[..., :2] - z).norm(dim=-1)
+    assert (off[(later >= 0) & (later < 4)] > 5e3).all()
+    assert (off[later >= 4] < 20).all()
+
+
 @pytest.mark.parametrize("index", [0.1, 1.0])
 def test_after_the_reset_of_a_receiver_the_velocity_is_known_as_before(index):
     f, prior, truth, z, away = drifting(index)
