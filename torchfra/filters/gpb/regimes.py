@@ -470,7 +470,10 @@ class Regimes(Part):
         off, settled_off = [(0.5 * fit.squares - least).clamp_min(0.0) for fit in (stated, settled)]
         # By whichever is likelier, no outlier in the step before or some: the other may know of nothing but the jump.
         none, some = log_sum(log_weight, MOTION).unsqueeze(MOTION).unbind(BEFORE)
-        expected, off = (torch.where(none >= some, *x.unbind(BEFORE)).unsqueeze(BEFORE) for x in (expected, off))
+        expected, off = [
+            torch.where(none >= some, x.select(BEFORE, 0), x.select(BEFORE, 1)).unsqueeze(BEFORE)
+            for x in (expected, off)
+        ]
         given = settled.width - 0.5 * expected * count - 0.5 * (count - settled.squares).clamp_min(0.0) - settled_off
         given = torch.minimum(given, off)
         return torch.where(given > 0, given, 0.0)  # a belief without weight may have failed
