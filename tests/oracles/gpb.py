@@ -738,7 +738,10 @@ def step(
     predictions |= jump.predictions
     moved = paths(mixed, predictions, regimes, jump.factors, q, k) if q.same_offset else {}
     chance = np.array([[log_sum(log_pairs[q, :, r]) for r in range(len(beliefs))] for q in MODES])
-    unknown = given(predictions, regimes, jump, chance, z, model, k)
+    # What a settled target does not know is no evidence, from the fourth measurement on.
+    unknown = np.zeros(2)
+    if c.count >= -math.log2(0.2):
+        unknown = given(predictions, regimes, jump, chance, z, model, k)
     jumps = regimes.jumping
     if jumps and not nothing:  # as likely as all regimes together that are not settled, but for how rare they are
         chance[:, jumps] = [[log_sum(row[: jumps.start])] * len(jumps) for row in chance] + np.log(regimes.shares)
