@@ -24,7 +24,7 @@ Beliefs = dict[tuple[int, int], Belief]  # by outlier mode (0 without, 1 with ou
 
 MODES = (0, 1)
 READS = 2  # sensors read the position alone
-BLIND, NEAR, LARGEST, PRIOR_MARGIN, PRIOR_BURST = 0.02, 0.01, 1e10, 4.0, 2.0
+BLIND, NEAR, LARGEST, PRIOR_MARGIN, PRIOR_BURST = 0.02, 0.01, 1e14, 4.0, 2.0
 BENT, NEWTON, LEAST, EXPECTED = 9.0, 4, 30.0, 0.7
 AGILE_AFTER = 0.03  # of targets that have jumped
 

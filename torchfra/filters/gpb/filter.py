@@ -30,7 +30,7 @@ from torchfra.filters.gpb.hypotheses import (
 )
 from torchfra.filters.gpb.noise import LearnedNoise, NoiseScale, factors, measured_blocks
 from torchfra.filters.gpb.outliers import Modes, Outliers
-from torchfra.filters.gpb.regimes import LARGEST_FACTOR, PRIOR_BURST, Fit, Regime, Regimes, Surprise, Switching
+from torchfra.filters.gpb.regimes import LARGEST_FACTORS, PRIOR_BURST, Fit, Regime, Regimes, Surprise, Switching
 from torchfra.filters.gpb.slopes import (
     Line,
     along,
@@ -367,8 +367,9 @@ class GPB(Filter[GPBState]):
         residual, spread, _, _ = self.compare(read(predicted, frame), frame)
         excess, size = residual.square().sum(-1) - frame.measured.sum(-1), spread.square().sum((-2, -1))
         # Bounded before it is divided: beyond the range of numbers the gradient of a quotient is NaN.
-        factor = PRIOR_MARGIN * safe_divide(torch.minimum(excess, LARGEST_FACTOR * size), size)
-        return torch.where(doubtful, factor.clamp(1.0, LARGEST_FACTOR), 1.0)
+        largest = LARGEST_FACTORS[size.dtype]
+        factor = PRIOR_MARGIN * safe_divide(torch.minimum(excess, largest * size), size)
+        return torch.where(doubtful, factor.clamp(1.0, largest), 1.0)
 
     def outlying_rarity(
         self, state: GPBState, predicted: Hypotheses, cost: Tensor, widening: Tensor, frame: Frame

@@ -24,8 +24,9 @@ from torchfra.motion.base import Motion
 from torchfra.numbers import as_numbers, as_tensor
 from torchfra.types import Gaussian, Whitened
 
-LARGEST_FACTOR = 1e14
-"""Largest factor of a jump, a manoeuvre or an outlying prior on a covariance, whatever the innovation."""
+LARGEST_FACTORS = {torch.float64: 1e14, torch.float32: 1e10}
+"""Largest factor of a jump, a manoeuvre or an outlying prior on a covariance, whatever the innovation: gradients
+of single precision hold no larger one."""
 SOONER = 0.7
 """By how many outliers a jump is likelier than one more than the longest burst: above 1/2, as measurements after a jump
 are rather less likely than expected, by noise that is stated wrongly say, than more."""
@@ -469,11 +470,9 @@ class Regimes(Part):
         """
         off, settled_off = [(0.5 * fit.squares - least).clamp_min(0.0) for fit in (stated, settled)]
         # By whichever is likelier, no outlier in the step before or some: the other may know of nothing but the jump.
-        none, some = log_sum(log_weight, MOTION).unsqueeze(MOTION).unbind(BEFORE)
-        expected, off = [
-            torch.where(none >= some, x.select(BEFORE, 0), x.select(BEFORE, 1)).unsqueeze(BEFORE)
-            for x in (expected, off)
-        ]
+        of_modes = log_sum(log_weight, MOTION).unsqueeze(MOTION)
+        without = of_modes.narrow(BEFORE, 0, 1) >= of_modes.narrow(BEFORE, -1, 1)
+        expected, off = (torch.where(without, x.narrow(BEFORE, 0, 1), x.narrow(BEFORE, -1, 1)) for x in (expected, off))
         given = settled.width - 0.5 * expected * count - 0.5 * (count - settled.squares).clamp_min(0.0) - settled_off
         given = torch.minimum(given, off)
         return torch.where(given > 0, given, 0.0)  # a belief without weight may have failed
@@ -571,7 +570,8 @@ class Regimes(Part):
         variances = self._levels(nis[0])
         if self.manoeuvre_factors is not None:
             factors = values_first(self.manoeuvre_factors(nis), nis.dim() - 2) * nis
-            variances = torch.maximum(variances, self.among("manoeuvre", factors.clamp(max=LARGEST_FACTOR), 0.0))
+            factors = factors.clamp(max=LARGEST_FACTORS[nis.dtype])
+            variances = torch.maximum(variances, self.among("manoeuvre", factors, 0.0))
         factors = variances.sqrt()[..., None, None]
         if "climb" in self.kinds:
             vertical = torch.tensor([i in self.vertical for i in range(propagated.mean.shape[-1])], device=nis.device)
@@ -609,7 +609,7 @@ class Regimes(Part):
 
     def _jumps(self, nis: Tensor) -> Tensor:
         """Factors ``(1, J, 2, ...)`` on the covariance of the position by jumps."""
-        return (values_first(self.jump_factors(nis), nis.dim() - 2) * nis).clamp(1.0, LARGEST_FACTOR)
+        return (values_first(self.jump_factors(nis), nis.dim() - 2) * nis).clamp(1.0, LARGEST_FACTORS[nis.dtype])
 
     def _offsets(self, stated: Gaussian, factors: Tensor, motion: Motion) -> Tensor:
         """Roots ``(1, J, 2, ..., n, p)`` of what jumps add to the covariance of the position, by any root of it."""
@@ -643,7 +643,8 @@ class Regimes(Part):
 
         And square roots ``(2, R, 2, ...)`` of the shares that hypotheses have in their belief.
         """
-        beliefs, shares = list[Gaussian](), list[tuple[Tensor, Tensor]]()
+        beliefs: list[Gaussian] = []
+        shares: list[tuple[Tensor, Tensor]] = []
         for regimes, share in self.merged_from:
             part, axes = every.of(regimes), [*[MOTION] * share, BEFORE]
             shares.append(part.share_roots(*axes))
