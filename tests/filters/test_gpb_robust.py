@@ -21,8 +21,6 @@ BOUND = 13.816
 """99.9 % of chi-square with 2 degrees of freedom."""
 RECOVERED = 5
 """Measured steps after which all must be well again."""
-LATER = {"position": 1, "ranges": 0, "radar": 3, "bearings": 20}
-"""Steps more after a jump, which is a burst of outliers until it lasts; two bearings tell little of a position."""
 
 
 def tensor(x):
@@ -185,15 +183,15 @@ def usual_error(motion, sensor):
     return (e.mean - truth)[:, 20:, :2].norm(dim=-1).square().mean().sqrt()
 
 
-def check(motion, sensor, case, since, recovered=RECOVERED):
+def check(motion, sensor, case, since):
     """Finite; well from the measured step on in which it has to be; its covariance covers what happened otherwise."""
     truth, _, _, e = estimates(motion, sensor)[case]
     usual = usual_error(motion, sensor)
     assert not e.failed.any()
     assert all(x.isfinite().all() for of in (e.info.filtered, e.info.lagged) for x in of)
-    assert well(e, truth, usual)[:, since + recovered - 1 :].all()
+    assert well(e, truth, usual)[:, since + RECOVERED - 1 :].all()
     covered = (nees(e, truth) < BOUND).double()
-    assert torch.cat([covered[:, :since], covered[:, since + recovered - 1 :]], 1).mean() > COVERED[motion]
+    assert torch.cat([covered[:, :since], covered[:, since + RECOVERED - 1 :]], 1).mean() > COVERED[motion]
     return e, truth, usual
 
 
@@ -218,7 +216,7 @@ def test_half_a_minute_without_any_measurement(sensor, motion):
 
 @every_pair
 def test_a_target_that_jumps_by_a_hundred_sigma_and_stays(sensor, motion):
-    check(motion, sensor, jump, 120, RECOVERED + LATER[sensor])
+    check(motion, sensor, jump, 120)
 
 
 @every_pair

@@ -129,7 +129,7 @@ def gpb(
             motions share theirs evenly.  Of several jumps it says how likely each is beside the others.
         burst: how many equal outliers in a row are taken for outliers; a target whose measurements stay elsewhere for
             longer is taken to have jumped.  With 7 the jump's entry of ``durations`` should be some 8 measurements:
-            else one jump in twenty is followed with the ninth.  A sensor that is wrong for longer needs
+            else one jump in eight is followed with the ninth.  A sensor that is wrong for longer needs
             ``manoeuvres="none"``.
         durations: mean sojourn times of the regimes, s: of each level, any other motion, each manoeuvre, each jump; for
             three or more motions also one for each other motion.  That of a jump is in measurements, for which its

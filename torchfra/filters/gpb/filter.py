@@ -341,7 +341,8 @@ class GPB(Filter[GPBState]):
             settled = Gaussian(mean[:, at : at + 1], root[:, at : at + 1])
             found = Fit.of(self.compare(read(settled, frame), frame))
             given = self.regimes.unknown(found, fit, jumped.expected, least, log_weight, count)
-            given = torch.where((doubt > THIRD) | (count == 0), 0.0, given)
+            # Where half of all measurements are outliers from the beginning, the first of them would be a path.
+            given = torch.where(doubt > THIRD, 0.0, given)
         surprise = Surprise(nis, rarity, cost, given)
         widening = self.widening(Gaussian(mean[0, 0, -1], root[0, 0, -1]), frame, doubt)
         predicted = Gaussian(mean, self.outlying_rows(widening) * root)

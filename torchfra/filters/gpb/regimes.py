@@ -444,8 +444,8 @@ class Regimes(Part):
         held = cost < torch.inf  # else it is an outlier, and nothing else has a gradient
         cost, beyond = torch.where(held, cost, 0.0), torch.where(held, beyond, 0.0)
         most = jumped.own - cost - rarer
-        seen = torch.where(first, 1.0, beyond.clamp(NEARER, 1.0)).log()
-        rarity = torch.minimum(most + jumped.wide - cost * (jumped.burst - SOONER), most) + seen
+        nearer = torch.where(first, 1.0, beyond.clamp(NEARER, 1.0)).log()
+        rarity = torch.minimum(most + jumped.wide - cost * (jumped.burst - SOONER), most) + nearer
         rarity = torch.where(cost > 0, rarity, 0.0)
         return torch.where(held, rarity, -torch.inf)
 
@@ -455,16 +455,16 @@ class Regimes(Part):
         """Log ``(1, 1, 2, ...)`` of what a settled target is given back of the density of a measurement.
 
         After a jump its velocity and its acceleration are unknown, so its predictions are wide, the more the longer the
-        steps are.  That is no evidence against the jump: it is given back by how much they are wider than is expected
-        of a measurement, while the prediction as stated is further off than the least of outliers, and not more than it
-        is further off.  A measurement that is nearer than so wide a prediction says is no evidence for the jump either;
-        one that is further off is rather an outlier than due to the agile level of a target that has jumped.
+        steps are.  That is no evidence against the jump, so the density is given back by how much they are wider than
+        is expected of a measurement: only while it is an outlier to the prediction as stated, and no more than by how
+        much it is.  A small residual of so wide a prediction is no evidence for the jump either, and what is an outlier
+        to it too is not given back: the agile level of a target that has jumped is not to explain it.
 
         Args:
             settled: the measurement and a settled target, by the stated motion.
             stated: the measurement and the prediction as stated.
             expected: as in ``Jumped``.
-            least: the least cost of outliers beside which a jump is seen: see ``Outliers.cost``.
+            least: log of how much less likely than as stated the smallest outliers are: see ``Outliers.cost``.
             log_weight: ``(1, R, 2, ...)`` of the regimes by their Markov chain.
             count: ``(...)`` measured elements.
         """
