@@ -11,7 +11,7 @@ from torchfra import Gaussian, presets
 from torchfra.association import ChiSquare, Clutter
 from torchfra.filters import FixedLag
 from torchfra.motion import ConstantVelocity, aircraft
-from torchfra.sensors import Bearings, Position, RangeBearing, RangeRates
+from torchfra.sensors import Bearings, Correlated, Position, RangeBearing, RangeRates
 from torchfra.sensors.base import Sensor
 
 F64 = {"dtype": torch.float64}
@@ -166,6 +166,17 @@ def test_kernels_of_another_sensor_have_the_states_of_the_filter(name, options):
         state, _ = f.step(f.init(prior_of(f)), z[:, 0], dt=0.5)
         after, innovation = f.step(state, z[:, 3, :1], dt=0.0, sensor=CAMERA)
         found.append([after, innovation, f.step(after, z[:, 4], dt=0.5)])
+    close(*found)
+
+
+def test_compiled_another_sensor_leaves_what_is_known_of_errors_that_last():
+    found = []
+    for compiled in (False, True):
+        f = presets.srckf(ConstantVelocity(1.0), Correlated(GPS, 3.0, 30.0))
+        f = f.compile() if compiled else f
+        state, _ = f.step(f.init(prior_of(f)), torch.tensor([90.0, 70.0], **F64))
+        found.append(f.step(state, torch.tensor([101.0, 81.0], **F64), sensor=OTHER)[0].inner.belief)
+    assert (found[0].mean[..., -2:].abs() > 0.1).all()
     close(*found)
 
 

@@ -14,7 +14,6 @@ from torchfra.compiler.entries import Entries
 from torchfra.compiler.expressions import Expressions
 from torchfra.gaussian.inputs import CompleteScans, Frame, Measurements
 from torchfra.hyper import spoilt
-from torchfra.steps.loop import one_step
 from torchfra.steps.records import kept
 from torchfra.steps.recursion import HasBelief, Recursion
 from torchfra.types import Gaussian
@@ -43,8 +42,11 @@ def begin(module: object, book: Expressions, targets: Sequence[int] = (), like: 
     root = Entries.inputs(book, (*targets, n, n), dtype).ids.tril()
     state = f.begin(Gaussian(Entries.inputs(book, (*targets, n), dtype), Entries(book, root, dtype)))
     if sensor is not None:
-        # Steps of another sensor never change this memory, so that tracing would take it for constant zeros.
-        return f.remember(state, tree.map_tensors(lambda x: Entries.inputs(book, x.shape, dtype), state))
+        # Whatever is 0 here and stays 0 in steps of this sensor, steps of the filter's own may have changed.
+        unknown = tree.map_tensors(lambda x: Entries.inputs(book, x.shape, dtype), state)
+        return tree.map_parts(
+            lambda x: x._replace(scale_tril=Entries(book, x.scale_tril.ids.tril(), dtype)), unknown, Gaussian
+        )
     if like is None or type(like) is type(state):
         return state
     return type(like)(state, *(x if x is None else Entries.inputs(book, tuple(targets), dtype) for x in like[1:]))
@@ -73,5 +75,5 @@ def keep(f: Recursion, state: HasBelief, frame: Frame) -> tuple[Any, Any]:
 
 def keep_past(f: Recursion, state: HasBelief, frame: Frame) -> tuple[Any, Any]:
     """The same with what the backward pass needs."""
-    state, record = one_step(f, state, frame)
+    state, record = f.advance(state, frame)
     return state, kept(record, frame.measurement_noise.log_norm)

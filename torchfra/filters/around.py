@@ -2,31 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
-
-from typing_extensions import Self, TypeVar
-
 from torchfra.filters.base import Filter
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
-from torchfra.steps.recursion import HasBelief
+from torchfra.steps.recursion import S
 
 
-class StateAround(HasBelief, Protocol):
-    """The state of a filter around another one."""
-
-    @property
-    def inner(self) -> HasBelief:
-        """That of the inner filter."""
-        ...
-
-    def _replace(self, *, inner: HasBelief) -> Self: ...
-
-
-A = TypeVar("A", bound=StateAround, default=Any)
-
-
-class Around(Filter[A]):
+class Around(Filter[S]):
     """Abstract: a filter around another one.
 
     Args:
@@ -53,7 +35,3 @@ class Around(Filter[A]):
     def other_sensor(self, sensor: Sensor | None) -> Sensor | None:
         """A sensor that is neither the filter's own nor that of ``inner``, which both check it: see ``Filter``."""
         return None if sensor in self._given else self.inner.other_sensor(super().other_sensor(sensor))
-
-    def remember(self, state: A, before: A) -> A:
-        """A state with the memory of the state ``before`` in ``inner``."""
-        return state._replace(inner=self.inner.remember(state.inner, before.inner))

@@ -10,21 +10,19 @@ import torch
 from torch import Tensor
 from typing_extensions import Self
 
-from torchfra.filters.forecast import Forecast, moments, one_hypothesis
+from torchfra.filters.forecast import Forecast, forecast_by
 from torchfra.filters.several_sensors import SensorsInTurn
 from torchfra.filters.whole_tracks import WholeTracks
 from torchfra.gaussian.arguments import belief_of, measurements_of
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import Frame, Time
-from torchfra.gaussian.model import canonical
 from torchfra.gaussian.rules import Rule
-from torchfra.gaussian.update import innovation
 from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
 from torchfra.steps.checks import check_lengths, check_state, check_step, needed_inputs
 from torchfra.steps.engine import INTERPRETED, Engine
-from torchfra.steps.loop import Options, one_step
-from torchfra.steps.recursion import Recursion, S, in_full_precision
+from torchfra.steps.loop import Options
+from torchfra.steps.recursion import Mix, Recursion, S, in_full_precision
 from torchfra.types import Estimate, Gaussian, Innovation
 
 P = ParamSpec("P")
@@ -57,8 +55,8 @@ class Filter(Recursion[S]):
 
     ``advance`` is pure and takes any batch: choices are ``torch.where``, the state that goes in is not changed.
     Nothing of a track stays in a filter; it runs where ``z`` is, in its dtype.  What has measured is ``frame.sensor``,
-    which may be another than the filter's own: what its state remembers of measurements, ``forget`` empties before
-    such a step, and ``remember`` brings back after it.
+    which may be another than the filter's own: what a state remembers of measurements is of its own sensor, so such a
+    step neither uses nor changes it.
 
     Args:
         motion: how targets move; a linear motion is propagated exactly, without sigma points.  None for a filter around
@@ -90,15 +88,10 @@ class Filter(Recursion[S]):
         mean, root = source.belief
         return Gaussian(mean.unsqueeze(-2), root.unsqueeze(-3)), torch.zeros_like(mean[..., :1])
 
-    def predict_hypotheses(self, state: S, frame: Frame) -> tuple[Gaussian, Tensor]:
-        """Hypotheses ``(H, ..., n)`` of the state after a step without a measurement, and logs of their weights."""
-        _, record = one_step(self, state, frame)
-        return one_hypothesis(self.finish(state, record.belief, None)[0])
-
-    def predict_innovation(self, state: S, beliefs: Gaussian, frame: Frame) -> Gaussian:
-        """The innovation ``(H, ..., m)`` of hypotheses ``(H, ..., n)``, in units of the measurement noise."""
-        whitened = self.compare(beliefs, frame)
-        return Gaussian(whitened.residual, innovation(whitened)[0])
+    def forecast(self, state: S, frame: Frame, *mix: Mix) -> Forecast:
+        """The prediction of state and measurement, by the frame of a step without a measurement; as in ``advance``."""
+        _, record = self.advance(state, frame, *mix)
+        return forecast_by(self, self.finish(state, record.belief, None)[0], frame)
 
     def check_smooths(self, *, several: bool = False) -> None:
         """Checks that the filter can be smoothed, if ``several`` over several sensors.
@@ -289,19 +282,8 @@ class Filter(Recursion[S]):
         mean = state.belief.mean
         nothing = mean.new_full((*mean.shape[:-1], (other or self.sensor).size), torch.nan)
         track = check_step(self, state, measurements_of(nothing, dt, u, sensor=other))
-        state = state if other is None else self.forget(state, other)
         (frame,), _ = self._frames(track, mean.dim() - 1)
-        beliefs, log_weights = self.predict_hypotheses(state, frame)
-        belief = canonical(self.motion, moments(beliefs, log_weights, self.motion.angles))
-        z = frame.sensor.at_points(belief.mean, frame.u)
-        unit = frame.sensor.measurement_noise(z)
-        frame = frame._replace(z=z, measured=torch.ones_like(z), measurement_noise=unit)
-        # The innovation of a measurement at the mean: the mean of z - h(x) over the hypotheses, and its root.
-        if len(log_weights) > 1:  # a measurement that is as expected shows no jump
-            _, log_weights = self.predict_hypotheses(state, frame)
-        residual, root = moments(self.predict_innovation(state, beliefs, frame), log_weights)
-        offset = unit.colour(residual.unsqueeze(-1)).squeeze(-1)
-        return Forecast(belief, Gaussian(z - offset, unit.colour(root)))
+        return self.forecast(state, frame)
 
     def compile(self, *args: Any, wait: bool = True, **options: Any) -> Self:  # type: ignore[override]  # torch's own returns None
         """Makes all later calls run as compiled kernels, on CPU or GPU: same results (to rounding), same gradients.

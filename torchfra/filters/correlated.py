@@ -15,7 +15,7 @@ from torchfra import tree
 from torchfra.filters.around import Around
 from torchfra.filters.base import Filter
 from torchfra.filters.forecast import Forecast
-from torchfra.gaussian.inputs import BackwardStep, Frame, Time
+from torchfra.gaussian.inputs import BackwardStep, Frame
 from torchfra.linalg.triangular import block_diagonal
 from torchfra.motion.augmented import Augmented
 from torchfra.motion.bank import Bank
@@ -24,7 +24,6 @@ from torchfra.motion.correlated import GaussMarkov
 from torchfra.sensors.base import Sensor
 from torchfra.sensors.composed import Biased
 from torchfra.sensors.correlated import errors_of, have_errors, stationary, without_errors
-from torchfra.steps.loop import one_step
 from torchfra.steps.records import Record, Smoothed
 from torchfra.steps.recursion import HasBelief
 from torchfra.types import Gaussian
@@ -112,7 +111,7 @@ class WithCorrelatedErrors(Around[WithCorrelatedErrorsState]):
 
     def advance(self, state: WithCorrelatedErrorsState, frame: Frame) -> tuple[WithCorrelatedErrorsState, Record]:
         """One step of the inner filter."""
-        inner, record = one_step(self.inner, state.inner, frame)
+        inner, record = self.inner.advance(state.inner, frame)
         past = WithCorrelatedErrorsPast(record.belief, record.info, record.past)
         record = record._replace(belief=self.of_target(record.belief), info=self.of_target(record.info), past=past)
         return WithCorrelatedErrorsState(self.of_target(inner.belief), inner), record
@@ -121,11 +120,9 @@ class WithCorrelatedErrors(Around[WithCorrelatedErrorsState]):
         """The estimates of the inner filter, with the target's components alone."""
         return self.inner.finish(self.of_target(state.inner), belief, info)
 
-    def predict(
-        self, state: WithCorrelatedErrorsState, dt: Time, *, u: Tensor | None = None, sensor: Sensor | None = None
-    ) -> Forecast:
-        """The prediction after ``dt`` seconds: of the target, and of a measurement with its errors."""
-        forecast = self.inner.predict(state.inner, dt, u=u, sensor=self.other_sensor(sensor))
+    def forecast(self, state: WithCorrelatedErrorsState, frame: Frame) -> Forecast:  # type: ignore[override]  # no mix
+        """The prediction of the target, and of a measurement with its errors."""
+        forecast = self.inner.forecast(state.inner, frame)
         return forecast._replace(belief=self.of_target(forecast.belief))
 
     def hypotheses(self, source: HasBelief) -> tuple[Gaussian, Tensor]:

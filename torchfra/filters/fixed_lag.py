@@ -15,7 +15,7 @@ from torchfra.gaussian.inputs import Frame, Measurements, Time
 from torchfra.hyper import Part, spoilt
 from torchfra.sensors.base import Sensor
 from torchfra.steps.checks import check_lengths, check_step
-from torchfra.steps.loop import Options, backward, one_step
+from torchfra.steps.loop import Options, backward
 from torchfra.steps.records import Record, Smoothed, innovation, undecided
 from torchfra.steps.recursion import HasBelief, in_full_precision
 from torchfra.types import Gaussian, Innovation
@@ -108,7 +108,7 @@ class FixedLag(Part):
 def step_kept(f: Filter, state: HasBelief, measurements: Measurements) -> tuple[HasBelief, Record, WindowStep]:
     """One step of a filter: the next state, the record, and the parts of it for the backward pass."""
     (frame,), _ = f._frames(check_step(f, state, measurements), state.belief.mean.dim() - 1)
-    state, record = one_step(f, spoilt(f, state, measurements.sensor), frame)
+    state, record = f.advance(spoilt(f, state, measurements.sensor), frame)
     return state, record, WindowStep(record.belief, record.info, record.past, frame)
 
 

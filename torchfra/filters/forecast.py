@@ -1,4 +1,4 @@
-"""A forecast: the predicted state after a time step, and the predicted measurement; and moments of hypotheses."""
+"""A forecast: the predicted state after a time step, and the predicted measurement; and what makes one."""
 
 from __future__ import annotations
 
@@ -8,7 +8,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.mixture import moment_match
+from torchfra.gaussian.model import canonical
+from torchfra.gaussian.update import innovation
+from torchfra.steps.recursion import Recursion
 from torchfra.types import Gaussian
 
 
@@ -28,7 +32,21 @@ def moments(beliefs: Gaussian, log_weights: Tensor, angles: Sequence[int] = ()) 
     return Gaussian(beliefs.mean[0], beliefs.scale_tril[0])
 
 
-def one_hypothesis(belief: Gaussian) -> tuple[Gaussian, Tensor]:
-    """A belief ``(..., n)`` as the only hypothesis ``(1, ..., n)``, and the log of its weight."""
-    mean, root = (x.unsqueeze(0) for x in belief)
-    return Gaussian(mean, root), torch.zeros_like(mean[..., 0])
+def as_expected(frame: Frame, mean: Tensor) -> Frame:
+    """The frame with the measurement that is expected of a state ``mean (..., n)``, under the sensor's noise."""
+    z = frame.sensor.at_points(mean, frame.u)
+    return frame._replace(z=z, measured=torch.ones_like(z), measurement_noise=frame.sensor.measurement_noise(z))
+
+
+def forecast_by(f: Recursion, belief: Gaussian, frame: Frame) -> Forecast:
+    """The forecast of a filter by its predicted belief alone."""
+    seen = as_expected(frame, belief.mean)
+    whitened = f.compare(belief, seen)
+    innovated = Gaussian(whitened.residual, innovation(whitened)[0])
+    return Forecast(canonical(f.motion, belief), measurement(seen, innovated))
+
+
+def measurement(frame: Frame, innovation: Gaussian) -> Gaussian:
+    """The predicted measurement, by its ``innovation (..., m)`` in units of the noise, of a frame ``as_expected``."""
+    offset = frame.measurement_noise.colour(innovation.mean.unsqueeze(-1)).squeeze(-1)
+    return Gaussian(frame.z - offset, frame.measurement_noise.colour(innovation.scale_tril))

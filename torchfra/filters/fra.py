@@ -17,7 +17,7 @@ from torch.nn.functional import logsigmoid
 from torchfra import tree
 from torchfra.adaptive.fading import Fading, Memory
 from torchfra.filters.base import Filter
-from torchfra.filters.forecast import one_hypothesis
+from torchfra.filters.forecast import Forecast, forecast_by
 from torchfra.filters.soft import Soft
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import Frame, batch_rank, value_batches
@@ -209,25 +209,29 @@ class FRA(Soft, Filter[FRAState]):
     def begin(self, belief: Gaussian) -> FRAState:
         """The state of a belief: after a normal step, with an empty memory."""
         normal = torch.full_like(belief.mean[..., 0], -torch.inf)
-        memory, repeated = self.fading.begin(belief.mean, self.sensor.size), torch.full_like(normal, self.patience)
-        residual = belief.mean.new_zeros(*normal.shape, self.sensor.size)
+        memory, residual = self.begun(belief.mean, self.sensor)
+        repeated = torch.full_like(normal, self.patience)
         return FRAState(belief, belief, belief, belief, belief, normal, memory, residual, repeated)
 
-    def forget(self, state: FRAState, sensor: Sensor) -> FRAState:
-        """A state with an empty memory of innovations."""
-        mean, size = state.belief.mean, sensor.size
-        return state._replace(memory=self.fading.begin(mean, size), residual=mean.new_zeros(*mean.shape[:-1], size))
+    def begun(self, mean: Tensor, sensor: Sensor) -> tuple[Memory, Tensor]:
+        """The empty memory of a sensor's innovations, and zeros ``(..., m)`` in place of the last, for such means."""
+        return self.fading.begin(mean, sensor.size), mean.new_zeros(*mean.shape[:-1], sensor.size)
 
-    def remember(self, state: FRAState, before: FRAState) -> FRAState:
-        """A state with the memory of innovations of the state ``before``, and without a row of outliers."""
-        return state._replace(memory=before.memory, residual=torch.zeros_like(before.residual))
-
-    def predict_hypotheses(self, state: FRAState, frame: Frame) -> tuple[Gaussian, Tensor]:
-        """The only hypothesis of the state after a step, and the log of its weight."""
-        return one_hypothesis(self.predicted(state.belief, frame).belief)
+    def forecast(self, state: FRAState, frame: Frame, *mix: Mix) -> Forecast:
+        """The prediction of state and measurement, from the provisional estimate."""
+        before = mix[0](state.belief) if mix else state.belief
+        return forecast_by(self, self.predicted(before, frame).belief, frame)
 
     def advance(self, state: FRAState, frame: Frame, mix: Mix | None = None) -> tuple[FRAState, Record]:
         """One step: the step before is decided, then this one is normal or forks."""
+        if frame.sensor is self.sensor:
+            return self.decide_and_fork(state, frame, mix)
+        empty, nothing = self.begun(state.belief.mean, frame.sensor)  # no innovations, and no row of outliers
+        after, record = self.decide_and_fork(state._replace(memory=empty, residual=nothing), frame, mix)
+        return after._replace(memory=state.memory, residual=torch.zeros_like(state.residual)), record
+
+    def decide_and_fork(self, state: FRAState, frame: Frame, mix: Mix | None) -> tuple[FRAState, Record]:
+        """A step by a measurement of the sensor of which the state remembers innovations."""
         lagged, kept, repeated = self.decide_before(state, frame)
         prediction = self.predicted(lagged if mix is None else mix(lagged), frame)
         whitened = self.compare(prediction.belief, frame)

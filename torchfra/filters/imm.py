@@ -14,6 +14,7 @@ from torch.distributions import constraints
 from torchfra import tree
 from torchfra.filters.around import Around
 from torchfra.filters.base import Filter
+from torchfra.filters.forecast import Forecast, moments
 from torchfra.filters.interaction import (
     IMMState,
     cycle,
@@ -27,6 +28,7 @@ from torchfra.filters.markov import generator, sojourn_times, transition_over
 from torchfra.filters.model_smoothing import Models, ModelsPast, ModelsStep, estimate_of_models, past_of_models, retreat
 from torchfra.gaussian.inputs import BackwardStep, Frame
 from torchfra.gaussian.mixture import models_first, repeated
+from torchfra.gaussian.model import canonical
 from torchfra.hyper import Hyper, Value, hypers
 from torchfra.linalg.safe import safe_log
 from torchfra.motion.bank import Bank
@@ -208,16 +210,15 @@ class IMM(Around[IMMState]):
             return identity_at_zero_dt(self.matrix(like).log(), dt)
         return safe_log(self.probabilities(like, dt))
 
-    def predict_hypotheses(self, state: IMMState, frame: Frame) -> tuple[Gaussian, Tensor]:
-        """A hypothesis ``(K, ..., n)`` of the state after a step, one for each model, and logs of their weights."""
-        log_weights, interact, frame, _ = self.mixing(state, frame)
-        belief = self.inner.predicted(interact(state.inner.belief), frame).belief
-        return models_first(belief), log_weights.movedim(-1, 0)
-
-    def predict_innovation(self, state: IMMState, beliefs: Gaussian, frame: Frame) -> Gaussian:
-        """The innovation ``(K, ..., m)`` of hypotheses ``(K, ..., n)``, in units of the measurement noise."""
-        mean, root = beliefs.mean.movedim(0, -2), beliefs.scale_tril.movedim(0, -3)
-        return models_first(self.inner.predict_innovation(state.inner, Gaussian(mean, root), for_each_model(frame)))
+    def forecast(self, state: IMMState, frame: Frame) -> Forecast:  # type: ignore[override]  # no mix
+        """The prediction with the moments of all models."""
+        log_weights, interact, each, _ = self.mixing(state, frame)
+        forecast = self.inner.forecast(state.inner, each, interact)
+        weights, seen = log_weights.movedim(-1, 0), models_first(forecast.measurement)
+        belief = canonical(self.motion, moments(models_first(forecast.belief), weights, self.motion.angles))
+        z = frame.sensor.at_points(belief.mean, frame.u)
+        offset, root = moments(Gaussian(frame.sensor.difference(z, seen.mean), seen.scale_tril), weights)
+        return Forecast(belief, Gaussian(z - offset, root))
 
     def past_transition(self, step: BackwardStep, like: Tensor) -> tuple[Tensor, Frame]:
         """Logs ``(..., K, K)`` of the transition in a step of the forward pass, ``[was, now]``, and its frame."""

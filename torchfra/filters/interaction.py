@@ -29,7 +29,6 @@ from torchfra.gaussian.update import density
 from torchfra.linalg.safe import safe_log, safe_log1p
 from torchfra.linalg.triangular import whiten
 from torchfra.motion.base import Motion
-from torchfra.steps.loop import one_step
 from torchfra.steps.records import Record
 from torchfra.steps.recursion import HasBelief, Mix, Recursion, S
 from torchfra.types import Gaussian
@@ -67,7 +66,7 @@ def cycle(inner: Recursion[S], state: S, predicted: Tensor, interact: Mix, frame
         for all models together, with the density of the innovation in units of the measurement noise.
     """
     motion = inner.motion
-    state, record = one_step(inner, state, frame, interact)
+    state, record = inner.advance(state, frame, interact)  # type: ignore[call-arg]  # one inside of ``IMM`` takes a mix
     assert record.residual is not None
     log_density = without_failed(density(record.root, record.normalised))
     # A robust filter weighs models by its evidence: otherwise one outlier would decide between them.

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchfra.adaptive.fading import Fading, Memory
 from torchfra.adaptive.noise import NoiseMemory, SageHusa
 from torchfra.filters.base import Filter
-from torchfra.filters.forecast import one_hypothesis
+from torchfra.filters.forecast import Forecast, as_expected, measurement
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import Frame
 from torchfra.gaussian.model import canonical, predict_and_compare, repairs
@@ -115,17 +115,8 @@ class SRCKF(Filter[State]):
     def begin(self, belief: Gaussian) -> State:
         """The state of a belief, with empty memories."""
         noise = None if self.noise is None else self.noise.begin(belief.mean)
-        return self.forget(State(belief, None, noise), self.sensor)
-
-    def forget(self, state: State, sensor: Sensor) -> State:
-        """A state with an empty memory of innovations."""
-        if self.fading is None:
-            return state
-        return state._replace(fading=self.fading.begin(state.belief.mean, sensor.size))
-
-    def remember(self, state: State, before: State) -> State:
-        """A state with the memory of innovations of the state ``before``."""
-        return state._replace(fading=before.fading)
+        fading = None if self.fading is None else self.fading.begin(belief.mean, self.sensor.size)
+        return State(belief, fading, noise)
 
     def predicted(self, belief: Gaussian, frame: Frame) -> Prediction:
         """The belief one step later, by the root that a robust update needs."""
@@ -138,19 +129,18 @@ class SRCKF(Filter[State]):
         prediction = self.fading.inflate(prediction, factor)
         return prediction if self.robust is None else self.robust.rooted(prediction)
 
-    def predict_hypotheses(self, state: State, frame: Frame) -> tuple[Gaussian, Tensor]:
-        """The only hypothesis of the state after a step, and the log of its weight."""
-        return one_hypothesis(self.predicted(state.belief, frame).belief)
-
-    def predict_innovation(self, state: State, beliefs: Gaussian, frame: Frame) -> Gaussian:
-        """The innovation ``(H, ..., m)`` of hypotheses ``(H, ..., n)`` under the estimated noise, in nominal units."""
-        whitened = self.compare(beliefs, frame)
-        if not self.redraw:
-            _, whitened = self.predict_and_compare(Gaussian(*(x.unsqueeze(0) for x in state.belief)), frame)
+    def forecast(self, state: State, frame: Frame, *mix: Mix) -> Forecast:
+        """The prediction of state and measurement, with the estimated noise."""
+        before = mix[0](state.belief) if mix else state.belief
+        belief = self.predicted(before, frame).belief
+        seen = as_expected(frame, belief.mean)
+        whitened = self.compare(belief, seen) if self.redraw else self.predict_and_compare(before, seen)[1]
         if self.noise is None or state.noise is None:
-            return Gaussian(whitened.residual, innovation(whitened)[0])
-        root, _ = innovation(self.noise.rescale(whitened, state.noise))
-        return Gaussian(whitened.residual, self.noise.nominal(root, state.noise, frame.measured))
+            root, _ = innovation(whitened)
+        else:
+            root, _ = innovation(self.noise.rescale(whitened, state.noise))
+            root = self.noise.nominal(root, state.noise, seen.measured)
+        return Forecast(canonical(self.motion, belief), measurement(seen, Gaussian(whitened.residual, root)))
 
     def past(self, belief: Gaussian, info: Info, state: object, steps: object) -> Past:
         """The past for the backward pass: beliefs, and the fading factors of the forward pass."""
@@ -183,8 +173,11 @@ class SRCKF(Filter[State]):
         if self.robust is not None:
             weights = self.robust(whitened.residual, normalised.square().sum(-1))  # (25)
         if self.fading is not None and memory is not None:
-            memory = self.fading.remember(memory, whitened.residual, frame.measured)  # (31)
-            factor = self.fading(prediction, whitened, memory, weights)  # (32)-(34)
+            own = frame.sensor is self.sensor  # the memory has no innovations of another one
+            known = memory if own else self.fading.begin(prediction.belief.mean, frame.sensor.size)
+            known = self.fading.remember(known, whitened.residual, frame.measured)  # (31)
+            memory = known if own else memory
+            factor = self.fading(prediction, whitened, known, weights)  # (32)-(34)
             predicted = self.faded(prediction, factor)  # (29)
             compared = self.compare(predicted.belief, frame)
         if self.robust is None:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from torchfra import tree
 from torchfra.gaussian.inputs import Frame, Measurements
 from torchfra.hyper import spoilt
 from torchfra.steps.checks import check_step
-from torchfra.steps.loop import Options, backward, finish, observe, observe_apart, one_step, scan, start
+from torchfra.steps.loop import Options, backward, finish, observe, observe_apart, scan, start
 from torchfra.steps.records import Kept, Smoothed, decided, kept
 from torchfra.steps.recursion import Recursion, S
 from torchfra.types import Estimate, Gaussian
@@ -58,7 +57,7 @@ class Engine:
         """The state after all steps of checked tracks, and what is kept of each, time behind ``rank`` dimensions."""
         frames, log_norm = f._frames(measurements, rank)
         state = spoilt(f, state, measurements.sensor)
-        state, records = scan(partial(one_step, f), state, frames, options.checkpoint, options.truncate)
+        state, records = scan(f.advance, state, frames, options.checkpoint, options.truncate)
         past = options.past
         needed = [r._replace(residual=None, evidence=None, past=r.past if past else None) for r in records]
         return state, kept(tree.stack(needed, rank), log_norm.movedim(0, -1))

@@ -11,8 +11,8 @@ import torch
 from torchfra import tree
 from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements
 from torchfra.hyper import same_values
-from torchfra.steps.records import Kept, Record, Smoothed, innovation, undecided
-from torchfra.steps.recursion import Mix, Recursion, S, innermost
+from torchfra.steps.records import Kept, Smoothed, innovation, undecided
+from torchfra.steps.recursion import Recursion, S
 from torchfra.types import Estimate, Gaussian, Innovation
 
 A = TypeVar("A")  # the state of a loop
@@ -50,17 +50,9 @@ def finish(f: Recursion[S], state: S, kept: Kept) -> Estimate:
     return Estimate(mean, root, kept.nis, kept.log_likelihood, info)
 
 
-def one_step(f: Recursion[S], state: S, frame: Frame, *mix: Mix) -> tuple[S, Record]:
-    """``advance`` of a filter; by another sensor it neither uses nor changes the memory of its own."""
-    if frame.sensor is innermost(f).sensor:
-        return f.advance(state, frame, *mix)  # a filter inside of ``IMM`` takes a mix
-    after, record = f.advance(f.forget(state, frame.sensor), frame, *mix)
-    return f.remember(after, state), record
-
-
 def observe(f: Recursion[S], state: S, frame: Frame) -> tuple[S, Innovation]:
     """The state after one step, and its innovation."""
-    state, record = one_step(f, state, frame)
+    state, record = f.advance(state, frame)
     return state, innovation(record, frame.measurement_noise, scans=f.scans)
 
 

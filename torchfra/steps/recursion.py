@@ -119,7 +119,8 @@ class Recursion(Part, Generic[S]):
         """One step: the next state, and the record of the step.
 
         A filter inside of ``IMM`` has one more argument, ``mix``: a function that replaces the belief from which the
-        step starts, or None.
+        step starts, or None.  By another ``frame.sensor`` than its own a filter neither uses nor changes what it knows
+        of its own sensor's measurements.
         """
         raise TypeError(f"{type(self).__name__} needs an advance")
 
@@ -139,14 +140,6 @@ class Recursion(Part, Generic[S]):
         A filter that decides a step by the next one adds the decision of the last step here.
         """
         return belief, info
-
-    def forget(self, state: S, sensor: Sensor) -> S:
-        """A state without the memory of earlier measurements, for one of another ``sensor``."""
-        return state
-
-    def remember(self, state: S, before: S) -> S:
-        """A state after a measurement of another sensor, with the memory of the state ``before`` it."""
-        return state
 
     def past(self, belief: Gaussian, info: Any, state: S, steps: Any) -> Any:
         """The past for the backward pass: a tuple of ``(..., T, ...)`` tensors, such as a ``records.Past``.

@@ -16,7 +16,7 @@ from torchfra.gaussian.inputs import Frame
 from torchfra.hyper import Hyper, Value
 from torchfra.linalg.safe import safe_divide, safe_sqrt
 from torchfra.linalg.tracing import is_traced
-from torchfra.linalg.triangular import hstack, tria
+from torchfra.linalg.triangular import tria
 from torchfra.motion.base import Motion
 from torchfra.motion.polynomial import ConstantAcceleration, ConstantVelocity
 from torchfra.sensors.base import Sensor
@@ -75,14 +75,6 @@ class ConstantGainFilter(Filter[S]):
         """Position, velocity(, acceleration) ``(..., d)`` of a mean."""
         components: tuple[Tensor, ...] = mean.unflatten(-1, (self.motion.orders, self.motion.dims)).unbind(-2)
         return components
-
-    def predict_innovation(self, state: S, beliefs: Gaussian, frame: Frame) -> Gaussian:
-        """The innovation ``(H, ..., m)`` of hypotheses ``(H, ..., n)``, in units of the measurement noise."""
-        mean, root = (x[..., : self.sensor.size, :] for x in (beliefs.mean.unsqueeze(-1), beliefs.scale_tril))
-        noise = frame.measurement_noise
-        one = torch.ones_like(frame.z).diag_embed().expand(*mean.shape[:-1], -1)
-        whitened = noise.whiten(frame.z.unsqueeze(-1) - mean).squeeze(-1)
-        return Gaussian(whitened, tria(hstack(one, noise.whiten(root))))
 
     def finish(self, state: S, belief: Gaussian, info: T) -> tuple[Gaussian, T]:
         """Beliefs of all steps with full roots; steps keep only the nonzero entries of roots."""

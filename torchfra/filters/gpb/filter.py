@@ -13,6 +13,7 @@ from torch.distributions import constraints
 from torchfra import tree
 from torchfra.filters.alarms import faulty_seconds
 from torchfra.filters.base import Filter
+from torchfra.filters.forecast import Forecast, as_expected, measurement
 from torchfra.filters.gpb import smoothing
 from torchfra.filters.gpb.hypotheses import (
     BEFORE,
@@ -42,7 +43,8 @@ from torchfra.filters.gpb.slopes import (
 from torchfra.filters.gpb.states import GPBInfo, GPBPast, GPBState, LastMeasurement, Step
 from torchfra.gaussian.cubature import third_degree
 from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements
-from torchfra.gaussian.mixture import matched
+from torchfra.gaussian.mixture import matched, moment_match
+from torchfra.gaussian.model import canonical
 from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.update import innovation
 from torchfra.hyper import Hyper, Value
@@ -207,7 +209,14 @@ class GPB(Filter[GPBState]):
         return GPBState(belief, belief, *kept, outlier, doubt, torch.ones_like(doubt), relaxation, last, noise)
 
     def advance(self, state: GPBState, frame: Frame) -> tuple[GPBState, Record]:
-        """One step; the numbers are those of the class's docstring."""
+        """One step."""
+        if frame.sensor is self.sensor:
+            return self.update(state, frame)
+        after, record = self.update(self.forget(state, frame.sensor), frame)
+        return self.remember(after, state), record
+
+    def update(self, state: GPBState, frame: Frame) -> tuple[GPBState, Record]:
+        """A step by a measurement of the sensor whose outliers the state knows; numbers are the class's docstring's."""
         regimes, outliers, measured = self.regimes, self.outliers_of(frame.sensor), frame.measured.sum(-1) > 0
         before, stated = from_state(state.hypotheses, state.log_weights, (BEFORE, MOTION)), frame
         noise, frame = self.noise_of(state, frame)
@@ -498,6 +507,18 @@ class GPB(Filter[GPBState]):
         mean, root = source.hypotheses
         return Gaussian(mean.flatten(-3, -2), root.flatten(-4, -3)), log_weights.flatten(-2)
 
+    def forecast(self, state: GPBState, frame: Frame) -> Forecast:  # type: ignore[override]  # no mix
+        """The prediction with the moments of all hypotheses, manoeuvres that may begin included."""
+        state = state if frame.sensor is self.sensor else self.forget(state, frame.sensor)
+        beliefs, log_weights = self.predict_hypotheses(state, frame)
+        belief = canonical(self.motion, moment_match(beliefs, log_weights, self.motion.angles))
+        seen = as_expected(frame, belief.mean)
+        _, log_weights = self.predict_hypotheses(state, seen)  # a measurement that is as expected shows no jump
+        _, learned = self.noise_of(state, seen)
+        whitened = self.compare(read(beliefs, seen), learned)
+        innovated = moment_match(Gaussian(whitened.residual, innovation(whitened)[0]), log_weights)
+        return Forecast(belief, measurement(learned, innovated))
+
     def predict_hypotheses(self, state: GPBState, frame: Frame) -> tuple[Gaussian, Tensor]:
         """Hypotheses ``(2 R, ..., n)`` of the state after a step, and logs of their weights."""
         before = from_state(state.hypotheses, state.log_weights, (BEFORE, MOTION))
@@ -507,15 +528,6 @@ class GPB(Filter[GPBState]):
         predicted, _, _ = self.predict_regimes(mixed, switching.log_weight, frame, state.doubt, relaxation)
         flat: Hypotheses = tree.map_tensors(lambda x: x.flatten(0, 2), predicted)
         return flat.belief, flat.log_weight - flat.log_weight.logsumexp(0)
-
-    def predict_innovation(self, state: GPBState, beliefs: Gaussian, frame: Frame) -> Gaussian:
-        """The innovation ``(H, ..., m)`` of hypotheses ``(H, ..., n)``, in units of the stated measurement noise."""
-        _, learned = self.noise_of(state, frame)
-        residual, root = super().predict_innovation(state, read(beliefs, frame), learned)
-        if learned is frame:
-            return Gaussian(residual, root)
-        std = learned.measurement_noise.std / frame.measurement_noise.std
-        return Gaussian(std * residual, std.unsqueeze(-1) * root)
 
     # ------------------------------------------------------------ the sensor
 
@@ -556,7 +568,7 @@ class GPB(Filter[GPBState]):
         return outliers
 
     def forget(self, state: GPBState, sensor: Sensor) -> GPBState:
-        """A state without outliers in its last measurement, so that none continues in the next."""
+        """A state for a measurement of another sensor: without outliers in the last one, so that none continues."""
         outlier = state.belief.mean.new_zeros((*state.belief.mean.shape[:-1], len(sensor.blocks)))
         last = None if state.last is None else _unmeasured(state.belief.mean, sensor)
         noise = None if self.noise is None else self.noise.begin(outlier, sensor.size)
@@ -564,7 +576,7 @@ class GPB(Filter[GPBState]):
         return self.remember(state, state._replace(outlier=outlier, unreliable=unreliable, last=last, noise=noise))
 
     def remember(self, state: GPBState, before: GPBState) -> GPBState:
-        """A state whose outliers are independent of the measurement, with what was known of a sensor ``before`` it."""
+        """A state after that measurement, without outliers either, with what was known ``before`` of the own sensor."""
         relaxation = None if state.relaxation is None else torch.ones_like(state.relaxation)
         none = torch.zeros_like(before.outlier)
         last: LastMeasurement | None = tree.map_tensors(torch.zeros_like, before.last)

@@ -16,7 +16,6 @@ from torchfra.filters.scans.merging import averaged, merged
 from torchfra.filters.scans.scan import chosen, gated_first
 from torchfra.gaussian.inputs import Frame
 from torchfra.sensors.base import Sensor
-from torchfra.steps.loop import one_step
 from torchfra.steps.records import Record, scores
 from torchfra.steps.recursion import HasBelief, S
 from torchfra.types import Gaussian
@@ -48,7 +47,7 @@ def step_missed(inner: Filter, state: HasBelief, frame: Frame, sensor: Sensor) -
     nothing = sensor.measurement_noise(torch.full_like(z, torch.nan))
     rank = state.belief.mean.dim() - 1
     frame = frame._replace(z=z, measured=z, measurement_noise=nothing)
-    state, record = one_step(inner, _with_rows(state, rank, 1), frame)
+    state, record = inner.advance(_with_rows(state, rank, 1), frame)
     return _rows_first((state, record.info), rank, 1), record
 
 
@@ -56,7 +55,7 @@ def step_measured(inner: Filter, state: HasBelief, frame: Frame, inside: Tensor)
     """The states after each measurement that is ``inside (..., N, J)`` a target's gate."""
     order, rank = gated_first(inside), state.belief.mean.dim() - 1
     frame = chosen(frame, order, inside.shape, only=("z", "measured", "measurement_noise"))
-    state, record = one_step(inner, _with_rows(state, rank, order.shape[-1]), frame)
+    state, record = inner.advance(_with_rows(state, rank, order.shape[-1]), frame)
     _, log_density = scores(record, frame.measurement_noise.log_norm)
     nowhere = torch.full(inside.shape, -torch.inf, dtype=log_density.dtype, device=log_density.device)
     states, info = _rows_first((state, record.info), rank, order.shape[-1])
