@@ -123,6 +123,8 @@ REFUSED = {
     "Polar": "Name,Sport,Date,Start time\nMax,RUNNING,03-05-2026,08:12:13\nSample rate,Time,HR (bpm)\n1,00:00:00,140\n",
     "MapSource or BaseCamp": "Grid\tLat/Lon hddd°mm.mmm'\nDatum\tWGS 84\n\nHeader\tPosition\tTime\n",
     "days of the year": table("year,doy,sod,lat,lon", lambda i, a, o: f"2024,155,{29700 + i},{a},{o}"),
+    "Imaris": "\nPosition\n ==================== \n" + table("Position X,Position Y,Position Z,Unit,Category,Collection,Time,TrackID,ID,",
+        lambda i, a, o: f"{i},2,3,um,Spot,Position,{i + 1},1000000000,{i},"),
     "SLEAP": table("track,frame_idx,instance.score,nose.x,nose.y", lambda i, a, o: f"track_0,{i},0.9,{i},3"),
 }  # fmt: skip
 OF_ADSB = {"ADS-B"}

@@ -41,7 +41,7 @@ def fit_sheet(file: Any) -> Sheet:
     columns = records_sheet(
         [{k: v.isoformat() if isinstance(v, datetime) else v for k, v in one.items()} for one in records], ()
     )
-    return columns._replace(said=("FIT: messages called record",))
+    return columns._replace(said=("FIT: messages called record",), degrees=True)
 
 
 def _is_cell(value: Any) -> bool:

@@ -18,6 +18,7 @@ from torchfra.readers.times import (
     SINCE_1970,
     STARTS,
     UNITS,
+    WEEK,
     WEEKS,
     count_of,
     counted,
@@ -121,13 +122,7 @@ def clock_of(
         except ValueError as error:
             refusals[name] = error
     if not clocks:
-        of_parts = {plain(name): name for name in head.names}
-        if {*_PARTS} <= of_parts.keys():
-            raise AskError(
-                "expected times in one column, received parts of them: say ",
-                {"time": ",".join(of_parts[part] for part in _PARTS), "time_format": "%Y %m %d %H %M %S"},
-            )
-        raise next(iter(refusals.values())) if refusals else LookupError("time")
+        raise _in_parts(head.names) or next(iter(refusals.values()), LookupError("time"))
     best = min(clocks, key=lambda clock: (not clock.dated, count_of(clock.form) is not None,
                                           bool(_LOCAL & {*name_words(clock.columns[-1])})))  # fmt: skip
     if refusals and not best.dated and candidates[0] in refusals:
@@ -154,9 +149,25 @@ def _check_whole(clock: Clock, head: Head, whole: list[str], dates: list[str]) -
     if not clock.dated and clock.form == "seconds" and plain(clock.column) == "time":
         parts += dates
     if parts:
-        raise AskError(f"column {clock.column}: expected whole times, received a part beside {', '.join(parts)}: write "
-                       "one column, or say ", {"time": clock.column}, " if it is whole, or such as ",
-                       {"time": ",".join((*parts, clock.column)), "time_format": "%Y%m%d %H%M%S"})  # fmt: skip
+        above = {"time": ",".join((*parts, clock.column)), "time_format": "%Y%m%d %H%M%S"}
+        finer = any(name_words(part)[-1] in _BELOW for part in parts)
+        raise _in_parts(head.names) or AskError(
+            f"column {clock.column}: expected whole times, received a part beside {', '.join(parts)}: write one "
+            "column, or say ", {"time": clock.column}, " if it is whole", *([] if finer else [", or such as ", above])
+        )  # fmt: skip
+
+
+def _in_parts(names: list[str]) -> AskError | None:
+    """The error for years, months, days, hours, minutes and seconds in columns of their own."""
+    known = dict[tuple[str, ...], dict[str, str]]()
+    for name in names:
+        *front, last = name_words(name) or [""]
+        known.setdefault((*front,), {})[{"min": "minute", "sec": "second"}.get(last, last.removesuffix("s"))] = name
+    for one in known.values():
+        if {*_PARTS} <= one.keys():
+            words = {"time": ",".join(one[part] for part in _PARTS), "time_format": "%Y %m %d %H %M %S"}
+            return AskError("expected times in one column, received parts of them: say ", words)
+    return None
 
 
 def _clock(columns: tuple[str, ...], head: Head, form: str, *, sure: bool = False) -> Clock:
@@ -176,7 +187,11 @@ def _clock(columns: tuple[str, ...], head: Head, form: str, *, sure: bool = Fals
     if form:
         return _of_form(columns, head, form, texts)
     if (weeks := found(head.names, "week")) and plain(name) in ("tow", "itow", "timeofweek", "sow") and not sure:
-        return _text((weeks[0], name), "gps_ms" if _unit(name) == "ms" else "gps", texts)
+        form = "gps_ms" if _unit(name) == "ms" else "gps"
+        if (values_of(texts) > WEEK * WEEKS[form]).any():
+            raise AskError(f"column {name}: expected seconds of a week, received {texts[0]}: write seconds, or say ",
+                           {"time": f"{weeks[0]},{name}", "time_format": "gps_ms"}, " if they are ms")  # fmt: skip
+        return _text((weeks[0], name), form, texts)
     values = values_of(texts)
     rates = [rate for column in found(head.names, "rate") for rate in texts_of(head.cells(column))[:1]]
     counts = bool(rates and len(values)) and not (_unit(name) or _size(values) or (values % 1).any())
@@ -210,8 +225,8 @@ def _chosen(columns: tuple[str, ...], texts: list[str]) -> Clock:
                        "they are written, such as ", {"time": name, "time_format": "%d.%m.%y %H:%M:%S"},
                        ", or name another column")  # fmt: skip
     if zone := re.search(r"[\[(]([A-Z]{2,4}T|MSK)[\])]", columns[-1]):
-        raise AskError(f"column {name}: zone {zone[1]} has several meanings or changes with the season: write an "
-                       "offset such as -06:00 behind each time, or use ", *choices,
+        raise AskError(f"column {name}: zone {zone[1]} has several meanings, changes with the season or is not UTC: "
+                       "write an offset such as -06:00 behind each time, or use ", *choices,
                        ", which reads the times as UTC")  # fmt: skip
     return _text(columns, forms[0], texts)
 
@@ -274,9 +289,10 @@ def _count(form: str, since_1970: bool) -> Kind:
 def _numeric(name: str, values: Array, sure: bool) -> Clock:
     """The clock of numbers: by the end of the name, or by their size since 1970; or else seconds since a start."""
     size, stated = _size(values) if len(values) else "", _unit(name)
-    if size == "seconds" and name_words(name)[0] == "gps":
-        raise AskError(f"column {name}: expected seconds since 1970 or, with leap seconds, since 1980, received "
-                       f"{values[0]:.15g}, which may be either: say ", {"time_format": "seconds"}, " or ",
+    if size and (name_words(name)[0] == "gps" or {"gps", "epoch"} <= {*name_words(name)}):
+        write = "write seconds and say " * (size != "seconds")
+        raise AskError(f"column {name}: expected {size} since 1970 or, with leap seconds, since 1980, received "
+                       f"{values[0]:.15g}, which may be either: say ", {"time_format": size}, f" or {write}",
                        {"time_format": "gps_seconds"})  # fmt: skip
     if size and (not stated or stated == size):
         return Clock((name,), _count(size, True), True)

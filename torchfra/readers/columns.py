@@ -47,6 +47,8 @@ class Head(NamedTuple):
     """The ``formats.Format`` that its text begins with, if any."""
     word: str = ""
     """What its targets are, where the format says it."""
+    degrees: bool = False
+    """Whether its positions are decimal degrees by a standard."""
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from torchfra.readers.formats import Format, format_of, format_of_text
 from torchfra.readers.hints import unclear
 from torchfra.readers.names import DEGREES, LENGTHS, OTHER_UNIT, TIMES, found, places_in, plain
 from torchfra.readers.names import unit as unit_of
-from torchfra.readers.options import AskError, ReadOptions, instead_of, listed
+from torchfra.readers.options import AskError, ReadOptions, instead_of, listed, without_unit
 from torchfra.readers.sheets import Sheet, repeated
 
 _SIGNS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
@@ -244,9 +244,11 @@ def _is_header(names: list[str], options: ReadOptions | None) -> bool:
     if len(names) < 2 or options is None:
         return len(names) > 1
     asked = {name for several in options.columns.values() for name in several if not name.isdigit()}
-    full = [*filter(None, names)]
-    return asked <= {*names} if asked else bool(places_in(names) or format_of(names)) or (
-        bool(found(names, "time")) and not any(map(_is_number, full)) and len({*full}) == len(full) > 2)  # fmt: skip
+    full, bare = [*filter(None, names)], {without_unit(name) for name in names}
+    places = bool(places_in(names) or format_of(names) or options.columns.keys() & {"x", "latitude"})
+    if asked:
+        return places and all(one in names or without_unit(one) in bare for one in asked)
+    return places or (bool(found(names, "time")) and not any(map(_is_number, full)) and len({*full}) == len(full) > 2)
 
 
 def _is_row(cells: Sequence[str]) -> bool:
@@ -270,7 +272,7 @@ def _likely(line: str) -> list[str]:
 
 def _split(line: str, sign: str) -> list[str]:
     if sign == " ":
-        line = re.sub(r" +(?=[\[(][^\[\]()]*[\])])", "", line)  # between a name and its unit
+        line = re.sub(r"(?<=[^\s\])]) +(?=[\[(][^\[\]()]*[\])])", "", line)  # between a name and its unit
         return line.split()
     try:
         return [name.strip() for name in next(csv.reader([line.strip("\r\n")], delimiter=sign), [])]

@@ -54,6 +54,11 @@ class Format(NamedTuple):
     refused: str = ""
     """What to do instead, where it is not read."""
 
+    @property
+    def says_degrees(self) -> bool:
+        """Whether latitudes are surely no radians, as of a text that begins as no other does."""
+        return bool(self.begins) or self.degrees != (1.0, 1.0)
+
 
 _FEET = {"altitude": "ft", "alt": "ft", "altbaro": "ft", "altgeom": "ft"}
 _E7, _SEMICIRCLES, _RADIANS = (1e-7, 1e-7), (180 / 2**31,) * 2, (180 / math.pi,) * 2
@@ -66,6 +71,8 @@ FORMATS = (
     Format("state vectors of OpenSky", "icao24 lastposupdate baroaltitude|geoaltitude", word="aircraft",
            columns={"altitude": "baroaltitude", "second": "geoaltitude", "update": "lastposupdate"}),
     Format("traffic", "timestamp lastposition", word="aircraft", columns={"update": "lastposition"}, units=_FEET),
+    Format("traffic", "timestamp altitude groundspeed track verticalrate", word="aircraft", units=_FEET,
+           columns={"id": "icao24|flightid|callsign"}),
     Format("BaseStation, of dump1090 on port 30003", begins="MSG,[1-8],", word="aircraft",
            header="message,transmission,session,aircraft,hex,flight,date,time,date_logged,time_logged,callsign,"
                   "altitude,speed,course,lat,lon,climb,squawk,alert,emergency,spi,on_ground",
@@ -84,6 +91,8 @@ FORMATS = (
     Format("AIS of the Danish Maritime Authority", "typeofmobile mmsi", word="ship", time="%d/%m/%Y %H:%M:%S",
            missing=_NO_POSITION),
     Format("AIS", "mmsi", word="ship", missing=_NO_POSITION),
+    Format("AIS", "sourcemmsi|vesselid|shipid", word="ship", columns={"id": "sourcemmsi|vesselid|shipid"},
+           missing=_NO_POSITION),
     Format("flights", "callsign altitude|alt|altbaro", word="aircraft", units=_FEET,
            columns={"altitude": "altbaro|altitude|alt"}),
     Format("Wildlife Computers", "deployid ptt date", word="animal", time="%H:%M:%S %d-%b-%Y",
@@ -109,7 +118,7 @@ FORMATS = (
                     "sigma": "accuracymeters|accuracy"}),
     Format("ArduPilot", begins=r"FMT, ?[0-9]+,", header=r"^FMT, *\d+, *\d+, *(?=GPS,)(?:GPS, *\w+, *)", lines="GPS,",
            columns={"time": "gwk gms", "id": "i"}, time="gps_ms"),
-    Format("NAV-PVT of u-blox", "itow hmsl hacc", units={"hmsl": "mm", "height": "mm", "hacc": "mm"}),
+    Format("NAV-PVT of u-blox", "itow hacc", units={"hmsl": "mm", "height": "mm", "hacc": "mm"}),
     Format("GPS_RAW_INT of MAVLink", "fixtype eph hacc", refused="its altitudes and accuracies are mm, and eph has no "
            "unit: write metres, and leave eph out"),
     Format("PX4, vehicle_gps_position", "timeutc lat lon alt fixtype|altellipsoid", columns={"time": "timeutc"},
@@ -148,6 +157,8 @@ FORMATS = (
            "year and seconds of the day, such as 2024-06-03 08:15:00"),
     Format("SLEAP", "frameidx instancescore", refused="positions are pixels at numbers of frames: name columns by the "
            "options x, y and time, and say time_format, such as 25fps, and units mm, which are pixels in the results"),
+    Format("Imaris", "x y unit category collection time", refused="Time is the number of an image: name columns by the "
+           "options x, y, z and time, and say time_format, such as 0.1fps, and units mm, which are um in the results"),
     Format("OptiTrack", begins="Format Version,", columns={"x": "x", "y": "z", "z": "y"}),
     Format("TUM", "tx ty", columns={"x": "tx", "y": "ty", "z": "tz"}),
     Format("EuRoC", "prsrx prsry", columns={"x": "prsrx", "y": "prsry", "z": "prsrz"}),

@@ -53,7 +53,7 @@ def igc_sheet(text: str) -> Sheet:
     columns["altitude"] = by_gnss if any(by_gnss) else [int(fix[10]) for fix in fixes]
     said = f"IGC: altitudes by {'GNSS' if any(by_gnss) else 'pressure'}"
     sheet = points_sheet(columns, (said + f"; {sum(held):,} held positions (V) left out" * any(held),))
-    return sheet._replace(word="glider")
+    return sheet._replace(word="glider", degrees=True)
 
 
 def _midnight(date: str) -> float:

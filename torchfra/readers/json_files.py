@@ -50,11 +50,12 @@ def json_sheet(content: str) -> Sheet:
                 for one in several
                 for row in one[rows] or ()
             ]
-            return records_sheet(fixes, (f"JSON: {rows} of OpenSky",))
+            return records_sheet(fixes, (f"JSON: {rows} of OpenSky",))._replace(degrees=True)
     for key, fixes_of in (("trace", _of_trace), ("aircraft", _of_moment)):
         if objects and all(isinstance(one.get(key), list) for one in several):
             heard = [fix for one in several for fix in fixes_of(one)]
-            return points_sheet({name: [fix[name] for fix in heard] for name in _READSB}, (f"JSON: {key} of readsb",))
+            cells = {name: [fix[name] for fix in heard] for name in _READSB}
+            return points_sheet(cells, (f"JSON: {key} of readsb",))._replace(degrees=True)
     if not isinstance(parsed, dict):
         return records_sheet(_records(several), ())
     columns = [*parsed.values()]
@@ -161,7 +162,8 @@ def _geojson_sheet(parsed: dict[str, Any]) -> Sheet:
         records += _places(geometry.get("coordinates", []), properties, depth, number)
     columns = list(dict.fromkeys(name for record in records for name in record))
     said = "GeoJSON: longitude, latitude[, altitude in metres]"
-    return points_sheet({name: [record.get(name) for record in records] for name in columns}, (said,))
+    cells = {name: [record.get(name) for record in records] for name in columns}
+    return points_sheet(cells, (said,))._replace(degrees=True)
 
 
 def _places(coordinates: Any, properties: dict[str, Any], depth: int, number: int) -> list[dict[str, Any]]:

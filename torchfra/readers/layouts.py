@@ -37,7 +37,18 @@ _ABOVE = {"latitude": {"n", "north"}, "longitude": {"e", "east"}}
 """Words for the sides of degrees below and above 0, which here have a sign."""
 _BESIDE = {"lat", "latitude", "lon", "long", "longitude", "ns", "ew", "hemisphere", "indicator"}
 """Words of names of columns that may say on which side a fix is."""
-_PRIVATE = ("call", "update", "second", "valid", *MARKS)
+SIDES = ("side", "other_side")
+"""Columns that do."""
+_SIDES = {"n": 0, "north": 0, "e": 0, "east": 0, "ne": 0, "s": 1, "south": 1, "se": 1, "w": 2, "west": 2, "nw": 2,
+          "sw": 3}  # fmt: skip
+"""What they hold: 1 for the south and 2 for the west, or both."""
+_ZONES = {"zone", "zonenumber", "utmzone", "utmzonenumber"}
+_ANGLES, _OF_AIRCRAFT = {"azimuth", "az"}, {"gs", "groundspeed", "verticalrate", "vertrate"}
+"""Names beside which an elevation is an angle, and a track a direction."""
+_OF_HEIGHTS = {"msl", "amsl", "asl", "agl", "hae", "mean", "above", "sea", "ground", "level", "ellipsoid", "wgs", "egm",
+               "84", "96", "wgs84", "egm96", "gps", "gnss", "baro", "barometric", "pressure"}  # fmt: skip
+"""Words in brackets behind heights that are no unit."""
+_PRIVATE = ("call", "update", "second", "valid", "zone", *SIDES, *MARKS)
 """What columns hold that ``Source.columns`` does not name."""
 WORDS_OF_MARKS = {"true": 1.0, "false": 0.0, "1": 1.0, "0": 0.0, "t": 1.0, "f": 0.0, "yes": 1.0, "no": 0.0}
 """What marks say, in small letters."""
@@ -72,6 +83,8 @@ class Layout:
     """What the caller says."""
     unread: tuple[str, ...] = ()
     """Columns that are not read."""
+    certain: bool = False
+    """Whether the format or a name of a column says that latitudes are degrees."""
 
     @property
     def other_ids(self) -> tuple[dict[str, str] | str, ...]:
@@ -120,6 +133,7 @@ def layout_of(head: Head, options: ReadOptions, name: str) -> Layout:
         clock, unused = clock_of(head, options, {"time": (moments[0],)}, None)
     word = head.word or (format.word if format else "") or "target"
     columns |= _labels(head, roles, word)
+    columns |= _grid(head, columns)
     length = _length(columns, options, format, head)
     if not options.time_format:
         _check_units(head, [clock.column], clock.form, "time_format", TIMES)
@@ -144,7 +158,9 @@ def layout_of(head: Head, options: ReadOptions, name: str) -> Layout:
     if noise.columns:
         public["sigma"] = next(iter(noise.columns))
     source = Source(name, public, length, word, lines, noise.argos)
-    return Layout(wanted, columns, tuple(noise.columns), noise.per_axis, clock, source, options, (*ignored, *unused))
+    certain = head.degrees or bool(unit(columns.get("latitude", "")) or (format and format.says_degrees))
+    unread = (*ignored, *unused)
+    return Layout(wanted, columns, tuple(noise.columns), noise.per_axis, clock, source, options, unread, certain)
 
 
 def _of_format(format: Format, head: Head) -> dict[str, tuple[str, ...]]:
@@ -172,6 +188,10 @@ def _places(head: Head, roles: Mapping[str, tuple[str, ...]]) -> dict[str, str]:
     """
     axes = ("latitude", "longitude", "altitude", "x", "y", "z")
     best = {role: [*roles[role]] if role in roles else found(head.names, role) for role in axes}
+    names = {*map(plain, head.names)}
+    no_height = {"height"} if "width" in names else {"elevation", "elev"} if names & _ANGLES else set[str]()
+    for role in ("altitude", "z"):
+        best[role] = [one for one in best[role] if role in roles or plain(one) not in no_height]
     every = {role: columns[0] for role, columns in best.items() if columns}
     stated = [roles[role][0] for role in axes if roles.get(role)]
     if len({*stated}) < len(stated):
@@ -195,24 +215,37 @@ def _places(head: Head, roles: Mapping[str, tuple[str, ...]]) -> dict[str, str]:
 
 
 def _check_signs(head: Head, role: str, columns: Mapping[str, str]) -> None:
-    """Refuses degrees whose side or minutes another column says."""
+    """Refuses degrees whose name says that they have no sign, or whose minutes another column says."""
     column, names = columns[role], head.names
     values, whole = values_of(head.cells(column)), re.sub("(?:deg(?:ree)?s?|dd?)$", "", "".join(name_words(column)))
-    for i, name in enumerate(names):
-        words, cells = {*name_words(name)}, {*texts_of(head.cells(name))}
-        sides = {cell.lower() for cell in cells} if all(re.fullmatch("[A-Za-z]{1,5}", one) for one in cells) else set()
-        letters = {*"".join(sides)} if all(len(side) < 3 for side in sides) else sides
-        near = words & _BESIDE or names[i - 1] in columns.values()
-        turned = near and sides and letters & _BELOW[role] and letters <= {*"nsew"} | {"north", "south", "east", "west"}
-        if name == column:
-            turned = words & _BELOW[role] and not words & _ABOVE[role]
-        if turned and not (len(values) and min(values) < 0):
-            raise ValueError(f"column {column}: expected degrees that grow to the north and east, received others, as "
-                             f"{name} says: write a sign in front of each")  # fmt: skip
+    words = {*name_words(column)}
+    if words & _BELOW[role] and not words & _ABOVE[role] and not (len(values) and min(values) < 0):
+        raise without_sign(column, "its name")
+    for name in names:
         finer = re.fullmatch(f"{whole}(?:min(?:ute)?s?|m[mn]?|sec(?:ond)?s?|ss?)", "".join(name_words(name)))
         if finer and not (values % 1).any():
             raise ValueError(f"column {column}: expected degrees with their parts, received whole ones beside {name}: "
                              "write one column of degrees + minutes / 60")  # fmt: skip
+
+
+def without_sign(column: str, says: str) -> ValueError:
+    """The error for degrees south or west that have no sign."""
+    return ValueError(f"column {column}: expected degrees that grow to the north and east, received others, as "
+                      f"{says} says: write a sign in front of each")  # fmt: skip
+
+
+def _grid(head: Head, columns: Mapping[str, str]) -> dict[str, str]:
+    """Columns that say on which side of the equator and of Greenwich a fix is, or in which zone of a grid."""
+    if plain(columns.get("x", "")) in ("east", "easting", "e") and "id" not in columns:
+        return dict(zip(("zone",), (name for name in head.names if plain(name) in _ZONES), strict=False))
+    places, sides, before = {columns[role]: role for role in _BELOW if role in columns}, list[str](), ""
+    for name in head.names if places else ():
+        letters, of = {cell.lower() for cell in texts_of(head.cells(name))}, places.get(before)
+        near = {*name_words(name)} & _BESIDE or (of and letters <= _BELOW[of] | _ABOVE[of])
+        if letters and letters <= _SIDES.keys() and near and name not in places:
+            sides.append(name)
+        before = name
+    return dict(zip(SIDES, sides, strict=False))
 
 
 def _labels(head: Head, roles: Mapping[str, tuple[str, ...]], word: str) -> dict[str, str]:
@@ -220,6 +253,8 @@ def _labels(head: Head, roles: Mapping[str, tuple[str, ...]], word: str) -> dict
     ids = (
         [" ".join(roles["id"])] if "id" in roles else [one for one in found(head.names, "id") if not _counts(one, head)]
     )
+    if "id" not in roles and _OF_AIRCRAFT & {*map(plain, head.names)}:
+        ids = [one for one in ids if plain(one) != "track"]
     calls = [one for one in found(head.names, "call") if (plain(one) == "callsign") == (word == "aircraft")]
     calls = calls if word in ("aircraft", "ship") else []
     if not ids and len({*texts_of(head.cells(calls[0]))} if calls else ()) > 1:
@@ -277,17 +312,13 @@ def _length(columns: Mapping[str, str], options: ReadOptions, format: Format | N
                 )
             advice = (", or ", *instead_of(word)) if "x" in columns else ()
             raise AskError(f"column {column}: expected metres or degrees, received {word}: convert them", *advice)
-        other = "" if word in LENGTHS or options.units or column not in lengths else word or flat * bracketed
-        if other and (flat or "deg" in other):
-            raise AskError(f"column {column}: expected lengths, received {other}: degrees are named by ",
-                           {"lat": "LAT", "lon": "LON"}, ", a unit by ", {"units": "m"}, ", say")  # fmt: skip
+        other = "" if word in LENGTHS or options.units or column not in lengths else word or bracketed
+        if (flat and other) or not {*name_words(other)} <= _OF_HEIGHTS:
+            degrees = ("degrees are named by ", {"lat": "LAT", "lon": "LON"}, ", ") if flat else ()
+            raise AskError(f"column {column}: expected lengths, received {other}: ", *degrees, "a unit by ",
+                           {"units": "m"}, ", say")  # fmt: skip
     if down := [column for column in lengths if {"down", "depth"} & {*name_words(column)} or plain(column) == "posd"]:
         raise ValueError(f"column {down[0]}: expected heights, which grow upwards: name a column of its negative")
-    zones = {cell for name in head.names if plain(name) in ("zone", "utmzone") for cell in texts_of(head.cells(name))}
-    if plain(columns.get("x", "")) in ("easting", "east") and "id" not in columns and len(zones) > 1:
-        raise ValueError(
-            f"expected one zone of the grid, received {listed(sorted(zones))}: convert all to one, or to degrees"
-        )
     stated = format.units if format else {}
     units = {column: LENGTHS.get(unit(column), "") or stated.get(plain(column), "") for column in lengths}
     if options.units:
@@ -306,6 +337,8 @@ def _check_units(head: Head, columns: Iterable[str], read: str, option: str, wor
         of_all = plain(name) in ("unit", "units") and option == "units"
         if of_all or any(re.fullmatch(f"{one}units?|units?{one}", "".join(name_words(name))) for one in bare):
             for cell in texts_of(head.cells(name)):
+                if option == "units" and OTHER_UNIT.fullmatch(cell):
+                    raise AskError(f"expected {read}, received {cell} in the column {name}: ", *instead_of(cell))
                 if words.get(cell.lower(), read if of_all else "") != read:
                     raise AskError(f"expected {read}, received {cell} in the column {name}: say ",
                                    {option: words.get(cell.lower(), read)})  # fmt: skip
@@ -313,8 +346,10 @@ def _check_units(head: Head, columns: Iterable[str], read: str, option: str, wor
 
 def _kind(role: str, column: str, length: float, format: Format | None, options: ReadOptions) -> Kind | None:
     """What the numbers of a column are; None for text."""
-    if role in ("id", "call"):
+    if role in ("id", "call", "zone"):
         return None
+    if role in SIDES:
+        return Kind("N, S, E or W", words=tuple(_SIDES.items()))
     if role in ("valid", *MARKS):
         words = _WORDS_OF_FIXES if role == "valid" else WORDS_OF_MARKS
         return Kind("true or false", words=tuple(words.items()), others=role == "valid")

@@ -38,7 +38,7 @@ NAMES = {
         timesincestart timesinceboot timeboot millis ms seconds sec secs isotime ts tst tow itow timeofweek sow
         timeofday secondsofday sod tod gpst gmt localtime timelocal datelocal recordedat basedatetime devicetime
         date day""",
-    "week": "week gpsweek weeknumber weekno wn gwk",
+    "week": "week gpsweek weeknumber weekno wn wnc gwk",
     "date": "date day utcdate dateutc gpsdate localdate datelocal",
     "x": "x east easting e posx px", "y": "y north northing n posy py",
     "z": "z up u posz pz altitude alt height elevation",

@@ -74,7 +74,7 @@ def nmea_sheet(text: str) -> Sheet:
     more += f"; {lines['AIS']} AIS messages left out" if lines["AIS"] else ""
     more += "" if len(known) else "; no date, as there is no RMC"
     full = {"time": time} | {name: of for name, of in zip(_NAMES, cells, strict=True) if np.isfinite(of).any()}
-    return Sheet([*full], [(len(fixes), full.__getitem__)], (f"NMEA 0183: RMC and GGA{more}",))
+    return Sheet([*full], [(len(fixes), full.__getitem__)], (f"NMEA 0183: RMC and GGA{more}",), degrees=True)
 
 
 def _fix(sentence: Any) -> tuple[str, list[float]]:

@@ -147,9 +147,14 @@ class ReadOptions:
         return {role: tuple(_column(name, names) for name in several) for role, several in asked.items()}
 
 
+def without_unit(name: str) -> str:
+    """A name without the unit in brackets that stands in a line of its own, say."""
+    return re.sub(r" \([^()]*\)$", "", name)
+
+
 def _column(name: str, names: list[str]) -> str:
     """The column of a name, or of a number."""
-    bare = {re.sub(r" \([^()]*\)$", "", one): one for one in reversed(names)} | {one: one for one in names}
+    bare = {without_unit(one): one for one in reversed(names)} | {one: one for one in names}
     if name in bare:
         return bare[name]
     if name.isascii() and name.isdigit() and 0 < int(name) <= len(names):

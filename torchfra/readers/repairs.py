@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from torchfra.readers.clocks import YEAR_1980
 from torchfra.readers.columns import Array, grouped
-from torchfra.readers.layouts import Layout
+from torchfra.readers.layouts import SIDES, Layout, without_sign
 from torchfra.readers.names import MARKS
-from torchfra.readers.options import AskError
+from torchfra.readers.options import AskError, listed
 from torchfra.readers.tables import Table
 from torchfra.readers.times import count_of
 from torchfra.tables import in_words, plural
@@ -73,6 +73,10 @@ def repaired_targets(table: Table, layout: Layout, stem: str) -> list[Target]:
     down = 0
     if ids is not None:
         ids, down = _filled_down(ids, asked=layout.stated.id is not None)
+    if len(zones := {*filter(None, table.texts.get(layout.columns.get("zone", ""), ()))}) > 1:
+        raise ValueError(
+            f"expected one zone of the grid, received {listed(sorted(zones))}: convert all to one, or to degrees"
+        )
     columns, targets = _Columns(table, layout), []
     for name, rows in ({"": np.arange(table.rows)} if ids is None else grouped(ids)).items():
         index, repairs = columns.rows_to_keep(rows)
@@ -117,18 +121,22 @@ def _filled_down(ids: list[str], *, asked: bool) -> tuple[list[str], int]:
 
 
 def _check_placeholders(several: Mapping[str, Array], stated: str | None) -> None:
-    """Refuses numbers such as -999, far from all others, in all of several columns: nobody says that they are none.
+    """Refuses numbers such as -999, far from all others of a column: nobody says that they are none.
 
     Those that are ``stated`` to be none are so already.
     """
     before = f"{stated}," if stated else ""
     for number in _PLACEHOLDERS:
-        at = np.all([np.isclose(values, number, rtol=0, atol=1e-6) for values in several.values()], axis=0)
-        rest = [np.sign(number) * values[~at & np.isfinite(values)] for values in several.values()]
-        if at.any() and all(len(one) >= _ENOUGH and one.max() < abs(number) / 2 for one in rest):
-            raise AskError(f"received {number:.10g} as {' and '.join(several)} in data row {int(at.argmax()) + 1}, far "
-                           "from all others: say ", {"missing": f"{before}{number:.10g}"},
-                           " if it stands for none, or ", {"missing": f"{before}none"})  # fmt: skip
+        rows = dict[str, int]()
+        for name, values in several.items():
+            at = np.isclose(values, number, rtol=0, atol=1e-6)
+            rest = np.sign(number) * values[~at & np.isfinite(values)]
+            if at.any() and len(rest) >= _ENOUGH and rest.max() < abs(number) / 2:
+                rows[name] = int(at.argmax()) + 1
+        if rows:
+            raise AskError(f"received {number:.10g} as {' and '.join(rows)} in data row {min(rows.values())}, far from "
+                           "all others: say ", {"missing": f"{before}{number:.10g}"}, " if it stands for none, or ",
+                           {"missing": f"{before}none"})  # fmt: skip
 
 
 class _Columns:
@@ -142,6 +150,10 @@ class _Columns:
         self.time = layout.clock.whole(table.column(layout.clock.column))
         self.place = np.stack([column("latitude", "x"), column("longitude", "y")], 1)
         self.height, self.spare, self.update = column("altitude", "z"), column("second"), column("update")
+        for name in (layout.columns[role] for role in SIDES if role in layout.columns):
+            for i, role in enumerate(("latitude", "longitude")):
+                if (np.isin(table.column(name), (i + 1, 3)) & (self.place[:, i] > 0)).any():
+                    raise without_sign(layout.columns[role], name)
         null = (self.place == 0).all(1)
         near = (np.abs(self.place) < _NULL_ISLAND).all(1) & ~null
         absent = null & (layout.degrees and not near.any() and not null.all())
@@ -149,12 +161,9 @@ class _Columns:
         self.no_height = zero & (layout.degrees and (zero | np.isnan(self.height)).all())
         self.height = np.where(self.no_height, np.nan, self.height)
         if "none" not in (layout.stated.missing or "").split(","):
-            groups = (("altitude",), ("z",)) if layout.degrees else (("x", "y"), ("z",))
-            for roles in groups:
-                names = {layout.columns[role]: column(role) / layout.source.unit
-                         for role in roles if role in layout.columns}  # fmt: skip
-                if names:
-                    _check_placeholders(names, layout.stated.missing)
+            lengths = {layout.columns[role]: column(role) / layout.source.unit
+                       for role in ("altitude", "x", "y", "z") if role in layout.columns}  # fmt: skip
+            _check_placeholders(lengths, layout.stated.missing)
         self.sent = np.zeros(len(self.time), dtype=bool)
         if self.dated and layout.stated.time is None:
             # State vectors of OpenSky are of a moment up to a minute after that of the position.

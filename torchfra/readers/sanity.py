@@ -24,8 +24,6 @@ _RESCUE = "111"
 """How numbers of aircraft of search and rescue begin, which receivers of ships hear."""
 _ACROSS = 30.0
 """Speeds are means over so many seconds, so that noise does not count."""
-_IN_DEGREES = ("GPX", "KML", "NMEA", "GeoJSON", "FIT", "IGC")
-"""What is said of formats that have degrees by their standards."""
 _RADIANS, _NEAR = (math.pi / 2, math.pi), 0.06
 """Latitude and longitude at most, rad, and what both are below within 3.5 degrees of 0, 0."""
 _SLOW = 340.0 * math.pi / 180
@@ -50,7 +48,7 @@ def checked(recordings: Sequence[Recording], layout: Layout, places: Array) -> l
     options, source = layout.stated, layout.source
     if not layout.degrees and not options.units:
         _check_metres(recordings, layout)
-    if layout.degrees and options.lat is None and source.word == "target":
+    if layout.degrees and options.lat is None and not layout.certain:
         _check_degrees(recordings, layout, places)
     if options.time_format:
         return list(recordings)
@@ -92,10 +90,9 @@ def _check_metres(recordings: Sequence[Recording], layout: Layout) -> None:
 def _check_degrees(recordings: Sequence[Recording], layout: Layout, places: Array) -> None:
     """Refuses latitudes and longitudes without a unit that may be radians: all in the Gulf of Guinea, and slow."""
     lat, lon = layout.columns["latitude"], layout.columns["longitude"]
-    stated = unit(lat) or layout.source.notes[0].startswith(_IN_DEGREES)
     judged = [recording for recording in recordings if len(recording.time) >= _SOME]
     size = np.abs(places)
-    if stated or not judged or (size > _RADIANS).any() or np.median(size, 0).max() < _NEAR:
+    if not judged or (size > _RADIANS).any() or np.median(size, 0).max() < _NEAR:
         return
     if all(speed_across(recording) < _SLOW for recording in judged):
         raise AskError(f"expected degrees in {lat} and {lon}, received what looks like radians: write degrees, or say ",

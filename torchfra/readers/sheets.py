@@ -32,6 +32,8 @@ class Sheet(NamedTuple):
     format: Any = None
     word: str = ""
     """What its targets are, where the format says it."""
+    degrees: bool = False
+    """Whether its positions are decimal degrees by a standard."""
     longer: Counter[str] | None = None
     """What was done to rows, which is counted while they are read."""
 

@@ -136,7 +136,7 @@ def table_of(sheet: Sheet, choose: Callable[[Head], Wanted], options: ReadOption
 def head_of(sheet: Sheet, cells: Cells) -> Head:
     """How a sheet begins, by the cells of its first rows."""
     begin = cache(lambda name: cells(name)[:HEAD])
-    return Head(sheet.names, begin, sheet.said, sheet.commas, sheet.format, sheet.word)
+    return Head(sheet.names, begin, *sheet[2:7])
 
 
 @contextmanager

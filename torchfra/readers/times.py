@@ -10,7 +10,7 @@ from datetime import datetime, timezone
 import numpy as np
 from numpy.typing import NDArray
 
-_DAY, _WEEK = 86_400.0, 604_800.0
+_DAY, WEEK = 86_400.0, 604_800.0
 UNITS = {"seconds": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9, "minutes": 1 / 60, "hours": 1 / 3600, "days": 1 / _DAY}
 """How many of a unit a second has: counts since a start, or since 1970."""
 SINCE_1970 = ("seconds", "ms", "us", "ns")
@@ -48,7 +48,7 @@ _ISO = re.compile(
 )
 _MONTHS = ("january", "february", "march", "april", "may", "june", "july", "august", "september", "october", "november",
            "december")  # fmt: skip
-_WEEKDAYS = re.compile("(?:mon|tue|wed|thu|fri|sat|sun)[a-z]*", re.IGNORECASE)
+WEEKDAYS = re.compile("(?:mon|tue|wed|thu|fri|sat|sun)[a-z]*", re.IGNORECASE)
 _DIGITS = re.compile("(?:%[YymdjHMS])+(?: (?:%[YymdjHMS])+)*")
 """Forms of numbers whose digits are a date or a clock."""
 _SIZES = {"Y": 4, "j": 3}
@@ -100,7 +100,9 @@ def seconds_of(text: str, form: str) -> float:
         return _since_1970(datetime.fromisoformat(_plain_iso(text)))
     if form in WEEKS:
         week, passed = map(float, text.split())
-        return float(_from_gps(np.array([STARTS["gps_seconds"][1] + _WEEK * week + passed / WEEKS[form]]))[0])
+        if not 0 <= passed / WEEKS[form] <= WEEK:
+            raise ValueError(f"expected a part of a week, received {passed:.15g} in {form}")
+        return float(_from_gps(np.array([STARTS["gps_seconds"][1] + WEEK * week + passed / WEEKS[form]]))[0])
     if _DIGITS.fullmatch(form):
         return _of_digits(text, form)
     bare = re.sub("[+-][0-9]{2}:?[0-9]{2}(?= %Y$|$)", "%z", re.sub("(?<=%S)[.,]%f", "", form))
@@ -108,7 +110,7 @@ def seconds_of(text: str, form: str) -> float:
     if parts:
         text = text[: parts.start()] + text[parts.end() :]
     if re.search("%[aA]", bare):
-        text, bare = _WEEKDAYS.sub("", text, count=1).strip(), re.sub("%[aA]", "", bare).strip()
+        text, bare = WEEKDAYS.sub("", text, count=1).strip(), re.sub("%[aA]", "", bare).strip()
     if re.search("%[bB]", bare):  # as numbers: names in ``strptime`` are those of the locale
         word = "[A-Za-z]{3,9}" if "%B" in bare else "[A-Za-z]{3}(?![A-Za-z])"
         text, bare = re.sub(word, _number_of_month, text, count=1), re.sub("%[bB]", "%m", bare)

@@ -100,7 +100,7 @@ def _timed(rows: list[Point], said: tuple[str, ...], what: str) -> Sheet:
     columns = dict(zip(_COLUMNS, map(list, zip(*rows, strict=True)), strict=True))
     if not any(columns["time"]):
         raise ValueError(f"expected {what} with times, received {len(rows)} points without any")
-    return points_sheet(columns, said)
+    return points_sheet(columns, said)._replace(degrees=True)
 
 
 def _tag(element: ElementTree.Element) -> str:
