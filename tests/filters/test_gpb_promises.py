@@ -13,7 +13,7 @@ from torchfra import presets, scenarios, tree
 from torchfra.filters import GPB, Outliers, Regimes
 from torchfra.gaussian import fifth_degree
 from torchfra.motion import ConstantAcceleration, ConstantVelocity, Odometry, RandomWalk
-from torchfra.sensors import Position, Ranges
+from torchfra.sensors import Bearings, Position, RangeBearing, Ranges
 from torchfra.types import Gaussian
 
 SOME = SENSORS | {"two ranges": Ranges(ANCHORS[:2], 2.0)}
@@ -261,6 +261,25 @@ def test_a_target_that_jumps_among_steps_of_very_different_lengths_is_followed_w
     off = (presets.gpb(motion, Position(1.0))(z, prior, dt=dt).mean[..., :2] - z).norm(dim=-1)
     assert (off[(later >= 0) & (later < 4)] > 5e3).all()
     assert (off[later >= 4] < 20).all()
+
+
+@pytest.mark.parametrize("sensor", [
+    Bearings(1e-4, stations=[[-1e4, 0.0], [0.0, -1e4]]), RangeBearing(tensor([1.0, 1e-4]), position=[-1e4, 0.0])
+], ids=["bearings", "radar"])  # fmt: skip
+def test_by_bearings_a_target_that_jumps_aslant_of_the_line_of_sight_is_followed_with_the_fifth_measurement(sensor):
+    """A bearing is a product of what is along and across, which points on both axes of a belief do not show."""
+    f, prior, truth, _, _ = drifting(0.04)
+    runs, g = 12, torch.Generator().manual_seed(1)
+    truth, away = truth[:runs], 1000 * ways(runs).unsqueeze(1)
+    later = (torch.arange(truth.shape[1]) >= JUMP).unsqueeze(-1)
+    place = truth[..., :2] + torch.where(later, away, 0.0)
+    z = sensor(place) + sensor.measurement_noise(sensor(place)).std * torch.randn(
+        *truth.shape[:2], 2, dtype=torch.float64, generator=g
+    )
+    f = presets.gpb(f.bank[0], sensor)
+    off = (f(z, Gaussian(*(x[:runs] for x in prior))).mean[..., :2] - place)[:, JUMP:].norm(dim=-1)
+    assert (off[:, :4] > 500).all()
+    assert (off[:, 4:] < 10).all()
 
 
 @pytest.mark.parametrize("index", [0.1, 1.0])

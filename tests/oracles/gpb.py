@@ -354,6 +354,7 @@ class Line(NamedTuple):
     e: Array  # what is measured beyond it
     H: Array
     rest: Array  # covariance of what a line leaves out
+    bent: Array  # of each element, noises off the line of the belief's points where they place the target, by variance
 
 
 def line_at_place(belief: Belief, z: Array, model: Model, k: int) -> Line:
@@ -368,8 +369,13 @@ def line_at_place(belief: Belief, z: Array, model: Model, k: int) -> Line:
         wc = np.diag(rule[2])
         H = gaps.T @ wc @ (draw(point, np.diag(square), rule) - point) @ np.diag(1 / square)
         rest = gaps.T @ wc @ gaps - H @ np.diag(square) @ H.T
-        return Line(measured, point, difference(np.asarray(z)[measured], zhat, angles), H, rest)
+        return Line(measured, point, difference(np.asarray(z)[measured], zhat, angles), H, rest, bent)
 
+    seen, units = read(belief, z, model, k), np.linalg.inv(np.linalg.cholesky(R))
+    gain = seen.Pxz @ np.linalg.inv(seen.Pzz)
+    moved, after = gain @ seen.e, P - gain @ seen.Pzz @ gain.T
+    there = read((mean + moved, NEAR**2 * after), z, model, k)
+    bent = np.abs(units @ (there.e - seen.e + seen.H @ moved)) / np.diag(units @ seen.H @ P @ seen.H.T @ units.T)
     point, square = mean, NEAR**2 * np.diag(P)
     for _ in range(NEWTON):
         seen = line(point, square)
@@ -414,8 +420,10 @@ def compared(belief: Belief, z: Array, block: list[int], model: Model, k: int, l
         return m
     R = measurement_noise(model, k, measured)
     whiten = np.linalg.inv(np.linalg.cholesky(R))
-    rest = m.Pzz - R - m.Pxz.T @ np.linalg.solve(belief[1][:READS, :READS], m.Pxz)
-    return along(line, belief, block, R) if np.diag(whiten @ rest @ whiten.T).max() > BENT else m
+    sloped = m.Pxz.T @ np.linalg.solve(belief[1][:READS, :READS], m.Pxz)
+    rest, seen = (np.diag(whiten @ x @ whiten.T) for x in (m.Pzz - R - sloped, sloped))
+    bent = line.bent[[line.measured.index(i) for i in measured]] * seen
+    return along(line, belief, block, R) if rest.max() > BENT or bent.max() > math.sqrt(BENT) else m
 
 
 def read(belief: Belief, z: Array, model: Model, k: int) -> Measured:

@@ -35,6 +35,7 @@ from torchfra.filters.gpb.regimes import LARGEST_FACTORS, PRIOR_BURST, Fit, Regi
 from torchfra.filters.gpb.slopes import (
     Line,
     along,
+    bend,
     by_points_or_line,
     by_points_or_slope,
     elements_of,
@@ -432,18 +433,21 @@ class GPB(Filter[GPBState]):
         If points of a belief are far off a line, as after a jump, it is compared by the line where the measurement
         places the target, of the ``widest`` belief.
         """
+        if frame.sensor.linear:
+            return lambda belief, block: self.compare(belief, frame, block)
         known: list[Line] = []  # for all blocks; of a cache torch.compile would make a graph of its own
+        widest = read(widest, frame)
+        bent = bend(lambda x: self.compare(x, frame), widest)
 
         def line() -> Line:
             if not known:
-                known.append(line_at_place(lambda x: super(GPB, self).compare(x, frame), read(widest, frame)))
+                known.append(line_at_place(lambda x: super(GPB, self).compare(x, frame), widest))
             return known[0]
 
         def compare(belief: Gaussian, block: Sequence[int]) -> Whitened:
             points = self.compare(belief, frame, block)
-            if frame.sensor.linear:
-                return points
-            return by_points_or_line(points, lambda: elements_of(along(line(), belief), block))
+            of_block = torch.stack([bent[..., i] for i in block], -1)
+            return by_points_or_line(points, of_block, lambda: elements_of(along(line(), belief), block))
 
         return compare
 

@@ -79,9 +79,32 @@ def along(line: Line, belief: Gaussian) -> Whitened:
     return Whitened(residual, hstack(line.rest, line.rows @ belief.scale_tril), belief.mean.shape[-1])
 
 
-def by_points_or_line(wide: Whitened, near: Callable[[], Whitened]) -> Whitened:
-    """``wide``, by points of a belief, where they are on a line to ``LARGEST_REST``; elsewhere ``near`` the place."""
+def bend(compare: Callable[[Gaussian], Whitened], belief: Gaussian) -> Tensor:
+    """By how much each element ``(..., m)`` is off the line of a belief's points where the update by them arrives.
+
+    In units of the noise, per unit of the variance that the line gives the element: half as wide a belief is off by a
+    quarter.  Points on the axes of a belief do not show it where an element depends on a product of two components, as
+    a bearing does on those along and across.
+    """
+    seen, d = compare(belief), belief.mean.shape[-1]
+    eye = torch.eye(d, dtype=belief.mean.dtype, device=belief.mean.device)
+    (unknown, lower), _, _ = correct(Gaussian(torch.zeros_like(belief.mean), eye.expand_as(belief.scale_tril)), seen)
+    mean, root = belief
+    there = compare(Gaussian(mean + apply(root, unknown), NEAR * (root @ lower)))
+    off = (there.residual - seen.residual + apply(seen.slope, unknown)).abs()
+    return safe_divide(off, seen.slope.square().sum(-1))
+
+
+def by_points_or_line(wide: Whitened, bent: Tensor, near: Callable[[], Whitened]) -> Whitened:
+    """``wide``, by points of a belief, where they are on a line to ``LARGEST_REST``; elsewhere ``near`` the place.
+
+    Args:
+        wide: the comparison by points.
+        bent: ``(..., m)`` from ``bend``.
+        near: makes the comparison by the line where the measurement places the target.
+    """
     off = wide.rest.square().sum(-1).amax(-1) > LARGEST_REST**2
+    off = off | ((bent * wide.slope.square().sum(-1)).amax(-1) > LARGEST_REST)
     some = off.any()  # rarely true; only then is the line computed, in kernels as well
     if not is_traced(some) and not some:
         return wide
