@@ -8,6 +8,7 @@ from cleaned_tracks import straight
 from matplotlib.colors import to_rgb
 from matplotlib.text import Text
 
+import torchfra
 from torchfra import plotting
 from torchfra.cleaning import Segment, figures
 from torchfra.cleaning.outputs.view import Band, placed, view
@@ -86,17 +87,27 @@ def test_panels_over_time_are_speed_altitude_and_manoeuvres_where_one_is_likely(
     assert area.get_paths()[0].get_extents().ymax == 1.0
 
 
-def test_manoeuvres_are_shaded_and_named_once():
+def test_turns_are_shaded_and_named_beside_the_speed_and_climbs_beside_the_altitude():
     of = replace(straight(40), segments=(Segment(10, 30, "left turn", 2.5), Segment(40, 60, "climbing", 5.0)))
     shown = panels(figures.cleaned(of))
-    for name in ("speed", "altitude"):
+    for name, seconds, kind in (("speed", (10, 30), "left turn, 2.5 deg/s"), ("altitude", (40, 60), "climbing, 5 m/s")):
         spans = [
             (p.get_x(), p.get_x() + p.get_width())
             for p in shown[name].patches
             if to_rgb(p.get_facecolor()) == to_rgb(ORANGE)
         ]
-        assert spans == [(10, 30), (40, 60)]
-    assert texts(shown["speed"]) == ["left turn, 2.5 deg/s", "climbing, 5 m/s"]
+        assert spans == [seconds]
+        assert texts(shown[name]) == [kind]
+
+
+def test_a_fix_that_is_off_in_height_alone_is_rejected_there_and_not_on_the_map():
+    time = np.arange(60.0)
+    fixes = np.stack([20 * time, 5 * time, 100 + 0 * time], 1) + np.random.default_rng(0).standard_normal((60, 3))
+    fixes[20, 0] += 300
+    fixes[40, 2] += 300
+    shown = panels(figures.cleaned(torchfra.clean((time, fixes))))
+    np.testing.assert_allclose(marks(shown["map"], "x"), fixes[[20], :2])
+    np.testing.assert_allclose(marks(shown["altitude"], "x"), [[40, fixes[40, 2]]])
 
 
 @pytest.mark.parametrize("change", [
@@ -186,8 +197,8 @@ def test_a_spike_of_the_path_does_not_set_the_scale_of_the_map_or_of_the_speed()
 def test_names_of_many_manoeuvres_do_not_lie_on_each_other():
     shown = view(straight(40))
     end, name = shown.time[-1], "left turn, 2.5 deg/s"
-    many = shown._replace(manoeuvres=[(end * i / 56, end * (i + 0.5) / 56, name) for i in range(56)])
-    found = placed(many, 76)
+    many = shown.speed._replace(manoeuvres=[(end * i / 56, end * (i + 0.5) / 56, name) for i in range(56)])
+    found = placed(shown, many, 76)
     assert len(found) >= 4
     for row in (0, 1):
         middles = sorted(middle for middle, at, _ in found if at == row)

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from torchfra.cleaning import Cleaned
 from torchfra.cleaning.outputs.view import SURE, Band, View, beyond, placed, view
+from torchfra.cleaning.segments import spans
 from torchfra.pictures import BLUE, BROWN, DARK, GREY, ORANGE, PALE_BLUE, RED
 from torchfra.plotting.labels import SIZE, in_free_places, show
 from torchfra.plotting.style import TITLE, finish, lay_out, without_box, words
@@ -27,8 +28,9 @@ _LETTERS = 76
 def cleaned(track: Cleaned) -> Figure:
     """A track on a map, and its speed, altitude and the probability of a manoeuvre over time.
 
-    A rejected fix is drawn where it was recorded; the map shows the track, and one that is far off is a triangle at its
-    edge.  Manoeuvres are shaded, and what the track is sure to is a band.  The axes are labelled ``"map"``,
+    A rejected fix is drawn where it was recorded, on the map, in the panel of the altitude or in both, as it is off;
+    the map shows the track, and one that is far off is a triangle at its edge.  Manoeuvres are shaded, climbs in the
+    panel of the altitude, and what the track is sure to is a band.  The axes are labelled ``"map"``,
     ``"speed"``, ``"altitude"`` (of a track in space) and ``"manoeuvre"``, which is there if one is likely at some time.
     """
     shown = view(track)
@@ -58,7 +60,7 @@ def _draw_map(axes: Axes, track: View) -> None:
     edges = track.sides[good]
     quads = np.stack([edges[:-1, 0], edges[1:, 0], edges[1:, 1], edges[:-1, 1]], 1)
     axes.add_collection(PolyCollection(list(quads), facecolor=PALE_BLUE, edgecolor=PALE_BLUE, linewidth=0.5, zorder=1))
-    for begin, end in track.shades:
+    for begin, end in spans(track.speed.manoeuvres):
         part = track.path[(track.time >= begin) & (track.time <= end)]
         axes.plot(*part.T, color=ORANGE, linewidth=5, alpha=0.6, solid_capstyle="butt", zorder=2)
     axes.plot(*track.recorded[~track.rejected].T, linestyle="none", marker=".", markersize=3, color=GREY, zorder=3)
@@ -81,7 +83,7 @@ def _label_map(axes: Axes, track: View) -> None:
         "recorded": track.recorded[~track.rejected],
         "rejected": track.recorded[track.rejected],
     }
-    turns = [track.path[(track.time >= begin) & (track.time <= end)] for begin, end in track.shades]
+    turns = [track.path[(track.time >= begin) & (track.time <= end)] for begin, end in spans(track.speed.manoeuvres)]
     if turns:
         points["manoeuvre"] = np.concatenate(turns)
     finite = {name: places[np.isfinite(places).all(1)] for name, places in points.items()}
@@ -97,7 +99,8 @@ def _draw_band(axes: Axes, track: View, band: Band, label: str) -> None:
     low_end, high_end = band.limits()
     limits = (low_end if band.recorded is not None else max(low_end, 0.0), high_end)
     if band.recorded is not None:
-        for mask, mark, colour in ((~track.rejected, ".", GREY), (track.rejected, "x", RED)):
+        rejected = track.rejected if band.rejected is None else band.rejected
+        for mask, mark, colour in ((~rejected, ".", GREY), (rejected, "x", RED)):
             axes.plot(track.time[mask], band.recorded[mask], mark, markersize=3 if mark == "." else 5, color=colour,
                       zorder=1 if mark == "." else 3)  # fmt: skip
     values = band.mean if band.recorded is None else band.recorded
@@ -109,16 +112,17 @@ def _draw_band(axes: Axes, track: View, band: Band, label: str) -> None:
 def _finish_time(rows: list[Axes], track: View) -> None:
     """Shades the manoeuvres, and gives all panels the same time."""
     end = track.time[-1] if track.time[-1] > 0 else 1.0
-    for axes in rows:
+    for axes, band in zip(rows, (track.speed, *filter(None, [track.altitude]), None), strict=False):
         axes.set_xlim(0, end)  # dots at the ends are seen
-        if axes.get_label() != "manoeuvre":
-            for begin, last in track.shades:
-                axes.axvspan(begin, last, color=ORANGE, alpha=0.22, linewidth=0, zorder=0)
-            finish(axes)
         without_box(axes)
+        if band is None:
+            continue
+        for begin, last in spans(band.manoeuvres):
+            axes.axvspan(begin, last, color=ORANGE, alpha=0.22, linewidth=0, zorder=0)
+        finish(axes)
+        for middle, row, kind in placed(track, band, _LETTERS):
+            axes.annotate(kind, (middle, 1.0), (0, 3 + 10 * row), xycoords="axes fraction", textcoords="offset points",
+                          ha="center", fontsize=SIZE - 1.5, color=BROWN, annotation_clip=False)  # fmt: skip
     for axes in rows[:-1]:
         axes.tick_params(labelbottom=False)
     rows[-1].set(xlabel=track.clock)
-    for middle, row, kind in placed(track, _LETTERS):
-        rows[0].annotate(kind, (middle, 1.0), (0, 3 + 10 * row), xycoords="axes fraction", textcoords="offset points",
-                         ha="center", fontsize=SIZE - 1.5, color=BROWN, annotation_clip=False)  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +46,8 @@ _SLOW_TURN = _TURN._replace(noise=0.05, low=0.1, rate=0.15, lasting=20.0, change
 """Slow but large turns, of ships and airliners, degrees."""
 _SPEED = _Rule(("speeding up", "slowing down"), noise=0.1, low=0.2, high=0.5, rate=0.5, lasting=4.0, change=4.0)
 """Changes of the speed, m/s."""
-_CLIMB = _Rule(("climbing", "descending"), noise=0.5, low=1.0, high=2.0, rate=2.5, lasting=10.0, change=30.0)
+CLIMBS = ("climbing", "descending")
+_CLIMB = _Rule(CLIMBS, noise=0.5, low=1.0, high=2.0, rate=2.5, lasting=10.0, change=30.0)
 """Changes of the height, m."""
 
 
@@ -94,8 +95,8 @@ def inside(time: Array, listed: Iterable[Segment]) -> NDArray[np.bool_]:
     return within
 
 
-def spans(listed: Iterable[Segment]) -> list[tuple[float, float]]:
-    """Begin and end of the union of the segments."""
+def spans(listed: Iterable[tuple[Any, ...]]) -> list[tuple[float, float]]:
+    """Begin and end of the union of segments, each of which begins with these."""
     found: list[tuple[float, float]] = []
     for begin, end, *_ in sorted(listed):
         if found and begin <= found[-1][1]:

@@ -23,6 +23,7 @@ from torchfra.cleaning.outputs.summary import (
     summary,
 )
 from torchfra.cleaning.outputs.view import SURE, Band, View, beyond, placed, view
+from torchfra.cleaning.segments import spans
 from torchfra.pictures import APART, BLUE, BROWN, GREY, ORANGE, PALE_BLUE, RED
 from torchfra.running.atomic_write import write_text
 from torchfra.tables import printable
@@ -175,17 +176,20 @@ def chart(cleaned: Cleaned) -> Chart:
     if track.altitude is not None:
         panels.append(("altitude, m", _band(track, track.altitude, 3), [*track.altitude.limits()]))
     layout = _layout(track.title) | _axes(track, {label: limits for label, _, limits in panels})
+    bands = [(f"y{i + 2} domain", of) for i, of in enumerate(filter(None, [track.speed, track.altitude]))]
     layout["annotations"] = [
-        _words(middle * track.time[-1], _TOP, kind, BROWN) | {"xref": "x2", "yref": "paper", "yshift": 8 + 12 * row}
-        for middle, row, kind in placed(track, _LETTERS)
+        _words(middle * track.time[-1], 1.0, kind, BROWN) | {"xref": "x2", "yref": domain, "yshift": 8 + 12 * row}
+        for domain, band in bands
+        for middle, row, kind in placed(track, band, _LETTERS)
     ]
     if sentence := beyond(track, *track.window)[2]:
         corner = {"xref": "paper", "yref": "paper", "xanchor": "left"}
         layout["annotations"].append(_words(0.0, 1.0, sentence, RED) | corner)
     layout["shapes"] = [
-        {"type": "rect", "xref": "x2", "yref": "paper", "x0": begin, "x1": end, "y0": 0, "y1": _TOP, "layer": "below",
+        {"type": "rect", "xref": "x2", "yref": domain, "x0": begin, "x1": end, "y0": 0, "y1": 1, "layer": "below",
          "fillcolor": ORANGE, "opacity": 0.22, "line": {"width": 0}}
-        for begin, end in track.shades
+        for domain, band in bands
+        for begin, end in spans(band.manoeuvres)
     ]  # fmt: skip
     return Chart(_map(track, cleaned) + [line for _, lines, _ in panels for line in lines], layout)
 
@@ -211,7 +215,7 @@ def _map(track: View, cleaned: Cleaned) -> list[dict[str, Any]]:
     row = np.char.add("row ", cleaned.row.astype(str))
     return [
         _scatter(1, *band.T, name=f"within {SURE:g} std", colour=PALE_BLUE, fill="toself", hoverinfo="skip"),
-        *(_manoeuvre(track, begin, end) for begin, end in track.shades),
+        *(_manoeuvre(track, begin, end) for begin, end in spans(track.speed.manoeuvres)),
         _scatter(1, *track.recorded[kept].T, name="recorded", colour=GREY, marks=3, text=row[kept].tolist()),
         _scatter(1, *track.path.T, name="cleaned", colour=BLUE),
         _scatter(1, *track.recorded[rejected].T, name="rejected", colour=RED, marks=8, text=row[rejected].tolist(),
@@ -233,7 +237,7 @@ def _band(track: View, band: Band, number: int) -> list[dict[str, Any]]:
         _scatter(number, track.time, band.mean, colour=BLUE),
     ]
     if band.recorded is not None:
-        kept = np.isfinite(band.recorded) & ~track.rejected
+        kept = np.isfinite(band.recorded) & ~(track.rejected if band.rejected is None else band.rejected)
         drawn.append(_scatter(number, track.time[kept], band.recorded[kept], colour=GREY, marks=3))
     return drawn
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from torchfra.cleaning import Cleaned, Segment
+from torchfra.cleaning.flags import MATTERS
 from torchfra.cleaning.outputs.course import course
 from torchfra.cleaning.outputs.times import dates
-from torchfra.cleaning.segments import spans
+from torchfra.cleaning.segments import CLIMBS
 from torchfra.geodesy import to_geodetic
 from torchfra.pictures import corners
 from torchfra.readers.columns import Array
@@ -38,6 +40,10 @@ class Band(NamedTuple):
     std: Array
     recorded: Array | None = None
     """NaN between fixes; None where it is not recorded."""
+    rejected: NDArray[np.bool_] | None = None
+    """Where what is recorded is off."""
+    manoeuvres: Sequence[tuple[float, float, str]] = ()
+    """Begin and end in units of ``View.time``, and a description."""
 
     def limits(self) -> tuple[float, float]:
         """Of an axis: the quantity without spikes, its band where that is as wide as usual, and most fixes."""
@@ -66,7 +72,7 @@ class View(NamedTuple):
     recorded: Array
     """``(T, 2)``; NaN between fixes."""
     rejected: NDArray[np.bool_]
-    """``(T,)`` whether a fix is an outlier."""
+    """``(T,)`` whether a fix is an outlier across the ground."""
     window: tuple[Array, Array]
     """Lower left and upper right of the map."""
     time: Array
@@ -74,24 +80,26 @@ class View(NamedTuple):
     clock: str
     speed: Band
     altitude: Band | None
-    manoeuvres: list[tuple[float, float, str]]
-    """Begin and end in units of ``time``, and a description."""
-    shades: list[tuple[float, float]]
-    """Begin and end of the time with any manoeuvre."""
     manoeuvre: Array
-    """``(T,)`` its probability; NaN where unknown."""
+    """``(T,)`` probability of one across the ground; NaN where unknown."""
 
 
 def view(cleaned: Cleaned) -> View:
     """The numbers in a picture of a track."""
     moved = course(cleaned)
-    rejected = cleaned.flag == "outlier"
+    outlier = cleaned.flag == "outlier"
+    aside, above = _off(cleaned)
+    rejected = outlier & (aside | ~above)
     low, high = _corners(cleaned, rejected)
     unit, size = ("km", 1000.0) if (high - low).max() >= 2000 else ("m", 1.0)
     clock, seconds = _clock(cleaned)
+    level, climbs = (
+        [(of.begin / seconds, of.end / seconds, named(of)) for of in cleaned.segments if (of.kind in CLIMBS) == climb]
+        for climb in (False, True)
+    )
     path = cleaned.position[:, :2]
     return View(
-        title=_title(cleaned, rejected),
+        title=_title(cleaned, outlier),
         unit=unit,
         metres=size,
         path=path / size,
@@ -101,10 +109,8 @@ def view(cleaned: Cleaned) -> View:
         window=(low / size, high / size),
         time=cleaned.time / seconds,
         clock=clock,
-        speed=Band(moved.speed, moved.speed_std),
-        altitude=_altitude(cleaned, moved.up),
-        manoeuvres=[(of.begin / seconds, of.end / seconds, named(of)) for of in cleaned.segments],
-        shades=[(begin / seconds, end / seconds) for begin, end in spans(cleaned.segments)],
+        speed=Band(moved.speed, moved.speed_std, manoeuvres=level),
+        altitude=_altitude(cleaned, moved.up, outlier & (above | ~aside), climbs),
         manoeuvre=cleaned.manoeuvre,
     )
 
@@ -135,14 +141,14 @@ def beyond(of: View, low: Array, high: Array) -> tuple[Array, Array, str]:
     return edge, way / np.linalg.norm(way, axis=1, keepdims=True), "; ".join(said) and f"outside: {'; '.join(said)}"
 
 
-def placed(of: View, letters: int) -> list[tuple[float, int, str]]:
+def placed(of: View, band: Band, letters: int) -> list[tuple[float, int, str]]:
     """Places for names of manoeuvres above a panel ``letters`` wide: in two rows, without overlap.
 
     Returns:
         The middle as a share of the width, the row, and the name.
     """
     end, taken, found = float(of.time[-1]) or 1.0, [0.0, 0.0], []
-    for begin, last, kind in of.manoeuvres:
+    for begin, last, kind in band.manoeuvres:
         half, middle = 0.5 * len(kind) / letters, 0.5 * (begin + last) / end
         middle = min(max(middle, half), 1 - half)
         row = 0 if middle - half >= taken[0] else 1
@@ -182,13 +188,24 @@ def _sides(cleaned: Cleaned, across: Array) -> Array:
     return sides
 
 
-def _altitude(cleaned: Cleaned, std: Array | None) -> Band | None:
+def _off(cleaned: Cleaned) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which fixes are off across the ground, and which in height; of a filter that does not part them, all in both."""
+    off = np.abs(cleaned.raw - cleaned.position)
+    if len(cleaned.parameters) < 2:
+        return np.ones(len(off), bool), np.full(len(off), off.shape[1] == 3)
+    ground, height = (MATTERS * float(part.sigma) for part in cleaned.parameters)
+    return np.linalg.norm(off[:, :2], axis=1) > ground, off[:, 2] > height
+
+
+def _altitude(
+    cleaned: Cleaned, std: Array | None, rejected: NDArray[np.bool_], climbs: list[tuple[float, float, str]]
+) -> Band | None:
     """Altitude, or up of the origin where there is no latitude, m; None in the plane."""
     origin = cleaned.recording.origin
     if std is None:
         return None
     mean, raw = (of[:, 2] if origin is None else to_geodetic(of, origin)[2] for of in (cleaned.position, cleaned.raw))
-    return Band(mean, std, raw)
+    return Band(mean, std, raw, rejected, climbs)
 
 
 def _corners(cleaned: Cleaned, rejected: NDArray[np.bool_]) -> tuple[Array, Array]:
