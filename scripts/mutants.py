@@ -21,7 +21,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from types import CodeType, FunctionType
 from typing import NamedTuple
@@ -29,19 +29,13 @@ from typing import NamedTuple
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-ROOMS = ("linalg", "gaussian", "robust", "steps", "filters")
+ROOMS = ("linalg", "gaussian", "robust", "adaptive", "steps", "filters")
 TESTS = """
-    alarms alphabeta alphabeta_gaps autocast branches certainty check_model choices composed_sensors considered
-    continuous_noise correlated_errors divisions failed_steps failures filters gaps gpb gpb_oracle gpb_promises
-    gpb_robust gradients hessian high_degree huber huber_determined imm imm_even inputs inputs_alike likelihood
-    linear_models long_tracks manoeuvre_models many_rejected masked_arrays mean_durations missing_inputs
-    mixed_angles mixture models moving_noise noise_estimate okf one_gpb oracles outliers outputs own_sides poses
-    predict presets protection ready_gradients ready_steps regions relations several_sensors smoothing
-    smoothing_banks spherical states tangents tria typed_calls values vsimm wide_priors written_functions zeros
-    absurd_measurements compile compiled_scans jpda jpda_limits jpda_models late_scans processors same_points
-    second_order
+    linalg gaussian robust motion sensors filters presets alarms failed_steps certainty hessian check_model jpda
+    jpda_limits jpda_models late_scans compile compiled_scans divisions long_tracks processors ready_gradients
+    ready_steps regions second_order tangents written_functions poses
 """
-"""Files of tests about what a filter computes; others reach these rooms through them."""
+"""Folders and files of tests about what a filter computes; others reach these rooms through them."""
 PATIENCE = 10
 """A test that takes so many times as long as without the mutant, and as many seconds more, hangs."""
 
@@ -114,31 +108,50 @@ class Mutant(NamedTuple):
     """The whole file, without the change."""
     put: Callable[[], None]
     """Changes the tree, for good."""
-    functions: tuple[tuple[int, str], ...]
-    """First line and name of the functions around the change, from within; none for a value of a module or class."""
+    function: tuple[int, str] | None
+    """First line and name of the function around the change; None for a value of a module or class."""
+    lines: range
+    """Of the statement that is changed, without those of its body."""
+
+    @property
+    def where(self) -> str:
+        """File and line."""
+        return f"{self.path.relative_to(ROOT)}:{self.line}"
 
 
 def mutants(path: Path) -> Iterator[Mutant]:
     """All mutants of a file."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
 
-    def within(node: ast.AST, around: tuple[tuple[int, str], ...]) -> Iterator[Mutant]:
+    def within(node: ast.AST, around: ast.FunctionDef | None, statement: ast.stmt | None) -> Iterator[Mutant]:
         for field, value in ast.iter_fields(node):
             if field in UNCHANGED and not isinstance(node, ast.Call):
                 continue
             for i, part in enumerate(value if isinstance(value, list) else [value]):
                 if not isinstance(part, ast.AST) or is_text(part):
                     continue
-                here = around
-                if isinstance(part, ast.FunctionDef):
-                    here = ((min([part.lineno, *(d.lineno for d in part.decorator_list)]), part.name), *around)
+                inner = part if isinstance(part, ast.FunctionDef) else around
+                whole = part if isinstance(part, ast.stmt) else statement
                 for other in variants(part):
                     text = f"{short(part)}  ->  {short(other)}"
-                    yield Mutant(path, part.lineno, text, tree, partial(place, node, field, i, other), here)  # type: ignore[attr-defined]
+                    change = partial(place, node, field, i, other)
+                    yield Mutant(path, part.lineno, text, tree, change, inner and key(inner), header(whole, part))  # type: ignore[attr-defined]
                 if not isinstance(part, (ast.Raise, ast.Assert, ast.JoinedStr)):
-                    yield from within(part, here)
+                    yield from within(part, inner, whole)
 
-    yield from within(tree, ())
+    yield from within(tree, None, None)
+
+
+def key(function: ast.FunctionDef) -> tuple[int, str]:
+    """First line, decorators included, and name of a function, as its code has them."""
+    return min([function.lineno, *(d.lineno for d in function.decorator_list)]), function.name
+
+
+def header(statement: ast.stmt, part: ast.AST) -> range:
+    """The lines of a statement up to those of a part in front of its body; all of a function, whose values it has."""
+    last = getattr(part, "test", part) if hasattr(statement, "body") else statement
+    last = statement if isinstance(statement, ast.FunctionDef) else last
+    return range(statement.lineno, (getattr(last, "end_lineno", None) or statement.lineno) + 1)
 
 
 def place(node: ast.AST, field: str, i: int, part: ast.AST) -> None:
@@ -172,20 +185,19 @@ def put_in(mutant: Mutant, known: dict[str, list[FunctionType]]) -> None:
     code = compile(ast.fix_missing_locations(mutant.tree), file, "exec")
     new = {(c.co_firstlineno, c.co_name): c for c in codes(code)}
     for function in known[file]:
-        key = (function.__code__.co_firstlineno, function.__code__.co_name)
-        if key in new and new[key].co_freevars == function.__code__.co_freevars:
-            function.__code__ = new[key]
+        code = new.get((function.__code__.co_firstlineno, function.__code__.co_name), function.__code__)
+        if code.co_freevars == function.__code__.co_freevars:
+            function.__code__ = code
     module = next(m for m in list(sys.modules.values()) if getattr(m, "__file__", None) == file)
     by_key = {(f.__code__.co_firstlineno, f.__code__.co_name): f for f in known[file]}
     for node in ast.walk(mutant.tree):
         if isinstance(node, ast.FunctionDef):
-            first = min([node.lineno, *(d.lineno for d in node.decorator_list)])
-            function = by_key.get((first, node.name))
+            function = by_key.get(key(node))
             if function is not None and "<locals>" not in function.__qualname__:
                 function.__defaults__ = tuple(value(x, module) for x in node.args.defaults) or None
                 named = zip(node.args.kwonlyargs, node.args.kw_defaults, strict=True)
                 function.__kwdefaults__ = {a.arg: value(x, module) for a, x in named if x is not None} or None
-    if not mutant.functions:
+    if mutant.function is None:
         assign(mutant, module)
 
 
@@ -220,6 +232,12 @@ def codes(code: CodeType) -> Iterator[CodeType]:
             yield from codes(constant)
 
 
+@cache
+def lines_of(code: CodeType) -> frozenset[int]:
+    """The lines of a function that are run one by one."""
+    return frozenset(n for *_, n in code.co_lines() if n is not None and n != code.co_firstlineno)
+
+
 def functions_of(paths: list[Path]) -> dict[str, list[FunctionType]]:
     """The functions that now exist of these files."""
     gc.unfreeze()
@@ -238,8 +256,8 @@ class Test(NamedTuple):
 
     name: str
     seconds: float
-    ran: list[list[object]]
-    """File, first line and name of each function that it ran."""
+    ran: dict[str, list[int]]
+    """The lines that it ran, by file."""
 
 
 class Mutants:
@@ -264,8 +282,9 @@ class Mutants:
         chosen = random.Random(self.options.seed).sample(every, min(self.options.sample or len(every), len(every)))
         if self.options.again:
             left = json.loads(Path(self.options.again).read_text())["survivors"]
-            left = {(x["where"].split(":")[0], x["change"]) for x in left}
-            chosen = [m for m in every if (str(m.path.relative_to(ROOT)), m.text) in left]
+            left = {(x["where"], x["change"]) for x in left}
+            chosen = [m for m in every if (m.where, m.text) in left]
+        size = {t.name: sum(map(len, t.ran.values())) for t in tests}
         kills: Counter[tuple[str, str]] = Counter()
         counts: Counter[str] = Counter()
         survivors = []
@@ -273,15 +292,20 @@ class Mutants:
         for number, mutant in enumerate(chosen):
             if self.options.minutes and time.monotonic() - start > 60 * self.options.minutes:
                 break
+            around = [f"{mutant.path}{mutant.function}", str(mutant.path), ""]
             covering = self.covering(mutant, tests)
-            covering.sort(key=lambda t: (-kills[str(mutant.functions[:1]), t.name], t.seconds * len(t.ran)))
+            cost = {  # quick tests of little else, and those that found most here, in this file and anywhere
+                t.name: t.seconds * size[t.name] / (1 + sum(kills[x, t.name] / 10**i for i, x in enumerate(around)))
+                for t in covering
+            }
+            covering.sort(key=lambda t, cost=cost: cost[t.name])
             verdict, by = self.tried(mutant, covering, items, known)
             counts[verdict] += 1
-            kills[str(mutant.functions[:1]), by] += 1
+            kills.update((x, by) for x in around)
             if verdict not in ("found", "hangs", "cannot be put in"):
-                where = f"{mutant.path.relative_to(ROOT)}:{mutant.line}"
-                survivors.append({"where": where, "change": mutant.text, "verdict": verdict, "tests": len(covering)})
-                self.say(f"{number + 1}: {where}: {mutant.text} ({verdict}, {len(covering)} tests)")
+                here = {"where": mutant.where, "change": mutant.text}
+                survivors.append(here | {"verdict": verdict, "tests": len(covering)})
+                self.say(f"{number + 1}: {mutant.where}: {mutant.text} ({verdict}, {len(covering)} tests)")
         found = counts["found"] + counts["hangs"]
         tried = sum(counts.values()) - counts["cannot be put in"]
         share = 100 * found / max(tried, 1)
@@ -296,13 +320,11 @@ class Mutants:
         print(line, file=self.screen)
 
     def covering(self, mutant: Mutant, tests: list[Test]) -> list[Test]:
-        """The tests that run the function around a change, or any of the file where there is none."""
-        file = str(mutant.path.relative_to(ROOT))
-        keys = [[file, *f] for f in mutant.functions[:1]]
-        if not keys:
-            return [t for t in tests if any(r[0] == file for r in t.ran)]
-        outer = [[file, *f] for f in mutant.functions]
-        return [t for t in tests if any(k in t.ran for k in outer)]
+        """The tests that run a changed statement, or anything of the file where it is in no function."""
+        file, within = str(mutant.path.relative_to(ROOT)), set(mutant.lines)
+        if mutant.function is None:
+            return [t for t in tests if file in t.ran]
+        return [t for t in tests if not within.isdisjoint(t.ran.get(file, ()))]
 
     def watched(self, items: list[pytest.Item]) -> list[Test]:
         """What each test runs, and how long it takes; kept in a file, as long as the code is the same."""
@@ -318,12 +340,19 @@ class Mutants:
         def watch() -> list[Test]:
             tests = []
             for item, after in zip(items, [*items[1:], None], strict=True):
-                ran: set[tuple[str, int, str]] = set()
+                ran: dict[CodeType, set[int]] = {}
 
                 def call(frame, event, argument, ran=ran):
                     code = frame.f_code
-                    if code.co_filename in files:
-                        ran.add((files[code.co_filename], code.co_firstlineno, code.co_name))
+                    if code.co_filename not in files:
+                        return None
+                    lines = ran.setdefault(code, set())
+
+                    def line(frame, event, argument):
+                        lines.add(frame.f_lineno)
+                        return line
+
+                    return None if lines >= lines_of(code) else line
 
                 self.failed, began = False, used()
                 sys.settrace(call)
@@ -332,7 +361,10 @@ class Mutants:
                 if self.failed:
                     self.say(f"{item.nodeid} fails without any mutant: left out")
                 elif ran:
-                    tests.append(Test(item.nodeid, used() - began, sorted(map(list, ran))))
+                    by_file: dict[str, set[int]] = {}
+                    for code, lines in ran.items():
+                        by_file.setdefault(files[code.co_filename], set()).update(lines)
+                    tests.append(Test(item.nodeid, used() - began, {k: sorted(v) for k, v in by_file.items()}))
             return tests
 
         more = forked(watch)
@@ -404,7 +436,9 @@ def main(argv: list[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rooms", nargs="+", choices=ROOMS, default=list(ROOMS), help="packages whose code is changed")
-    parser.add_argument("--tests", nargs="+", metavar="NAME", default=TESTS.split(), help="files test_NAME.py")
+    parser.add_argument(
+        "--tests", nargs="+", metavar="NAME", default=TESTS.split(), help="folders NAME and files test_NAME.py"
+    )
     parser.add_argument("--sample", type=int, metavar="N", help="so many mutants, drawn at random (default: all)")
     parser.add_argument("--seed", type=int, default=0, help="of the draw (default: %(default)s)")
     parser.add_argument("--minutes", type=float, help="end after so long, with those tried until then")
@@ -413,9 +447,11 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--again", metavar="FILE", help="only the survivors that --json wrote to a file")
     parser.add_argument("--json", metavar="FILE", help="write the figures and the survivors to a file")
     options = parser.parse_args(argv)
-    there = {path.stem.removeprefix("test_"): str(path.relative_to(ROOT)) for path in ROOT.glob("tests/*/test_*.py")}
+    places = [path.relative_to(ROOT) for path in ROOT.glob("tests/*/test_*.py")]
+    there = {path.stem.removeprefix("test_"): str(path) for path in places}
+    there |= {path.parent.name: str(path.parent) for path in places}
     if missing := [name for name in options.tests if name not in there]:
-        parser.error(f"tests: expected files test_NAME.py in the folders of tests, received {', '.join(missing)}")
+        parser.error(f"tests: expected folders of tests and files test_NAME.py in them, received {', '.join(missing)}")
     os.environ["OMP_NUM_THREADS"] = "1"
     os.chdir(ROOT)
     files = [there[name] for name in options.tests]

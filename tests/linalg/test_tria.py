@@ -15,6 +15,7 @@ from torchfra.compiler.expressions import Expressions
 from torchfra.compiler.program import Program, batch_first
 from torchfra.compiler.source import Port, Scan
 from torchfra.linalg import (
+    downdate,
     gram_information,
     gram_pinv,
     hstack,
@@ -28,7 +29,7 @@ from torchfra.linalg import (
 )
 from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.tracing import elementary
-from torchfra.linalg.triangular import eliminated
+from torchfra.linalg.triangular import block_diagonal, eliminated, marginal_root, split, tria_of_update
 
 torch.manual_seed(0)
 
@@ -258,6 +259,60 @@ def test_small_helpers():
     assert hstack(torch.ones(3, 2, 1), torch.zeros(2, 4)).shape == (3, 2, 5)
     root, v = tria(random(4, 3, 5)), random(4, 3)
     torch.testing.assert_close((root @ whiten(root, v).unsqueeze(-1)).squeeze(-1), v)
+
+
+# ---------------------------------------------------------------- as kernels do it
+
+
+def as_in_kernels(work):
+    """What a function gives where decompositions are loops of elementary arithmetic."""
+    with elementary(lambda function, ranks, tensors: function(*tensors)):
+        return work()
+
+
+LOOPS = {
+    "gram_pinv of two rows": lambda: gram_pinv(random(5, 2, 4), 0.3),
+    "gram_pinv of a wide matrix": lambda: gram_pinv(random(5, 3, 4), 0.3),
+    "gram_pinv of a tall matrix": lambda: gram_pinv(random(5, 4, 2), 0.0),
+    "gram_information": lambda: torch.stack(gram_information(0.4 * random(5, 4, 4))),
+    "downdate": lambda: downdate(random(5, 3, 3).tril() + 3 * torch.eye(3), 0.5 * random(5, 3, 2, seed=1))[0],
+    "tria of many columns": lambda: tria(random(5, 2, 23), graded=False),
+    "split": lambda: [x @ x.mT for x in split(random(5, 4, 6), 2)[:3]],
+}
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_loops_of_elementary_arithmetic_give_what_lapack_gives(name):
+    torch.testing.assert_close(as_in_kernels(LOOPS[name]), LOOPS[name]())
+
+
+@pytest.mark.parametrize("way", [lambda work: work(), as_in_kernels])
+@pytest.mark.parametrize("unit", [True, False])
+def test_the_root_of_an_update_is_that_of_the_whole_matrix_with_its_gradient(unit, way):
+    """Of two measurements that read two of three states."""
+    noise, read, root = random(4, 2, 3), random(4, 2, 2, seed=1), tria(random(4, 3, 3, seed=2))
+    top, bottom = hstack(noise, read, torch.zeros(4, 2, 1)), hstack(torch.zeros(4, 3, 3), root)
+    a, weights = torch.cat([top, bottom], -2).double(), random(5, 5, seed=3).tril()
+    identity = torch.eye(5, 2).double()
+    whole = with_gradient(a, weights, lambda x: tria(hstack(identity, x) if unit else x))
+    found = way(lambda: with_gradient(a, weights, lambda x: tria_of_update(x, 2, 2, unit=unit)))
+    torch.testing.assert_close(found, whole)
+    torch.testing.assert_close(way(lambda: tria_of_update(a, 2, 2, unit=unit)), whole[0])
+
+
+@pytest.mark.parametrize("states", [slice(2), slice(0, 3), slice(1, 4), slice(0, 4, 2)])
+def test_some_components_have_the_root_of_their_covariance(states):
+    root = tria(random(5, 4, 6))
+    marginal, covariance = marginal_root(root, states), (root @ root.mT)[..., states, states]
+    torch.testing.assert_close(marginal @ marginal.mT, covariance)
+    assert (marginal.triu(1) == 0).all()
+
+
+def test_matrices_along_a_diagonal_have_zeros_beside_them():
+    blocks = random(3, 1, 2, 3), random(2, 1, 1, seed=1), random(3, 2, 2, 0, seed=2)
+    expected = torch.zeros(3, 2, 5, 4).double()
+    expected[..., :2, :3], expected[..., 2:3, 3:] = blocks[0], blocks[1]
+    assert torch.equal(block_diagonal(blocks), expected)
 
 
 # ---------------------------------------------------------------- squares, roots, logarithms and quotients
