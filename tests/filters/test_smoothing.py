@@ -238,6 +238,22 @@ def test_with_a_lag_each_step_is_that_of_the_track_up_to_so_many_later(make, tra
         torch.testing.assert_close(lagged.covariance[:, k], whole.covariance[:, k], rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.parametrize("lag", [None, 2])
+@pytest.mark.parametrize("several", [False, True])
+def test_truncated_gradients_of_later_steps_end_where_they_are_cut(several, lag):
+    motion, sensor = ConstantVelocity(1.0), Position(2.0)
+    f = presets.imm([motion, ConstantVelocity(9.0)], sensor) if several else presets.rsrckf(motion, sensor)
+    z = walk(motion, whole=True)[:6].requires_grad_()
+
+    def gradient(**options):
+        later = f.smooth(z, Gaussian(START, ROOT), lag=lag, **options).mean[3:]
+        return torch.autograd.grad(later.square().sum(), z)[0]
+
+    expected = gradient()
+    expected[:3] = 0.0
+    torch.testing.assert_close(gradient(truncate=3), expected)
+
+
 @pytest.mark.parametrize(
     ("final", "provisional"), [("robust", "robust"), ("adaptive", "robust"), ("plain", "adaptive")]
 )

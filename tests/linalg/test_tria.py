@@ -383,6 +383,14 @@ def test_rows_are_taken_out_of_others_at_any_rank(graded):
     torch.testing.assert_close(cross[2:], tria(a)[2:, 3:, :3])  # of full rank
 
 
+def test_a_row_that_depends_on_those_above_is_found_in_columns_of_any_scale():
+    a = random(3, 6, dtype=torch.float32) * torch.tensor([1e6, 1.0, 1e-6, 1.0, 1e3, 1e-3])
+    a[1] = -2 * a[0]
+    a[2, 0] = 1e9
+    *_, dependent = eliminated(a, 3, 48 * torch.finfo(torch.float32).eps, graded=True)
+    assert dependent.tolist() == [False, True, False]
+
+
 def test_what_is_left_of_rows_has_nothing_along_those_taken_out_however_alike_they_are():
     """Where columns are of any scale, to the last digit of what is left and not of what was there."""
     rng = torch.Generator().manual_seed(5)

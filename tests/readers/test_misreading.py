@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import re
 from datetime import datetime, timezone
@@ -45,24 +44,6 @@ def test_times_of_the_day_go_on_after_midnight(write):
 
 
 # ---------------------------------------------------------------- formats
-
-
-@pytest.mark.parametrize("kind", ["parquet", "feather"])
-def test_a_damaged_table_of_columns_is_read_or_refused_with_a_value_error(tmp_path, kind):
-    pyarrow = pytest.importorskip("pyarrow")
-    from pyarrow import feather, parquet
-
-    data = pyarrow.table({"t": np.arange(50.0), "x": np.zeros(50), "y": np.zeros(50), "id": ["a"] * 50})
-    path = tmp_path / f"a.{kind}"
-    (parquet.write_table if kind == "parquet" else feather.write_feather)(data, path)
-    whole, random = path.read_bytes(), np.random.default_rng(2)
-    for _ in range(100):
-        damaged = bytearray(whole)
-        for place in random.integers(8, len(whole), 2):
-            damaged[place] = random.integers(256)
-        path.write_bytes(damaged[: random.choice([len(whole), random.integers(9, len(whole))])])
-        with contextlib.suppress(ValueError):
-            read(path)
 
 
 def test_damaged_sentences_are_left_out_and_said(write):
