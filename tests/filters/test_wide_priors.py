@@ -137,6 +137,8 @@ def test_moments_of_accelerations_that_are_not_known_yet_lose_digits_beside_a_pr
         with pytest.warns(LostDigits, match="prior: expected standard deviations below 1e.07 times"):
             run(z[:2].float(), Gaussian(torch.zeros(6), 1e7 * torch.eye(6)))
     f(z[:2], Gaussian(torch.zeros(6).double(), 1e7 * torch.eye(6).double()))  # in double precision
+    told = presets.gpb(*CASES["constant velocity"])  # whose four states two measurements tell
+    told(z[:2].float(), Gaussian(torch.zeros(4), 1e7 * torch.eye(4)))
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
