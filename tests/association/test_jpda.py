@@ -112,5 +112,7 @@ def test_what_does_not_fit_is_named(crossing):
     f, mean = presets.iaukf_jpda(motion, sensor, clutter=clutter), crossing.prior.mean
     with pytest.raises(ValueError, match=r"z: expected \(..., T, J, 3\)"):
         f(torch.zeros(5, 3).double(), crossing.prior)
+    with pytest.raises(ValueError, match=r"prior.mean: expected \(..., N, 6\), received \(6,\)"):
+        f(torch.zeros(5, 2, 3).double(), Gaussian(mean[0], crossing.prior.scale_tril))
     with pytest.raises(ValueError, match="rate: expected a value for each"):
         f(torch.zeros(5, 2, 3).double(), Gaussian(mean[:1], crossing.prior.scale_tril[:1]))
