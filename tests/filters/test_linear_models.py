@@ -289,6 +289,8 @@ def test_a_covariance_of_any_rank_has_a_root_and_what_is_none_is_refused():
         ([[1.0, 0.0], [0.0, -1.0]], indefinite),
         ([[1.0, 2.0], [0.0, 1.0]], indefinite),
         ([[1.0, 0.1], [0.1, 0.0]], indefinite),
+        ([[1.0, 1e-6], [0.0, 0.0]], indefinite),
+        ([[1.0, 0.0], [1e-6, 0.0]], indefinite),
         ([[1.0, 2.0]], shape),
         ([[math.nan]], "finite numbers"),
     ):

@@ -126,19 +126,27 @@ def test_points_too_near_the_centre_for_the_precision_are_refused():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["gpb", "imm", "imm_fra", "vsimm_srckf"])
 def test_moments_of_accelerations_that_are_not_known_yet_lose_digits_beside_a_prior_that_is_warned_of(name):
-    models = [ConstantAcceleration(0.01), ConstantAcceleration(1.0)]
-    several = {"neighbours": ((1,), (0,)), "first": (0, 1)} if name.startswith("vsimm") else {}
-    f = getattr(presets, name)(models if "imm" in name else models[0], Position(0.1), **several)
     z = tracks(*CASES["constant velocity"])
-    *smoothed, filtered, variances = lost(f, z, 1e5 * torch.eye(6).double())
+    *smoothed, filtered, variances = lost(several(name, ConstantAcceleration), z, 1e5 * torch.eye(6).double())
     assert max(filtered, variances) <= 1e-3
     assert max(smoothed) <= 2e-3
+
+
+def several(name, motion):
+    """A preset of that motion, or of it and a livelier one."""
+    both = {"neighbours": ((1,), (0,)), "first": (0, 1)} if name.startswith("vsimm") else {}
+    return getattr(presets, name)([motion(0.01), motion(1.0)] if "imm" in name else motion(0.01), Position(0.1), **both)
+
+
+@pytest.mark.parametrize("name", ["gpb", "imm", "imm_fra", "vsimm_srckf"])
+def test_a_prior_of_what_two_measurements_do_not_tell_brings_a_warning_where_moments_are_mixed(name):
+    f, z = several(name, ConstantAcceleration), torch.zeros(2, 2)
+    wide = Gaussian(torch.zeros(6), 1e7 * torch.eye(6))
     for run in (f, f.smooth):
         with pytest.warns(LostDigits, match="prior: expected standard deviations below 1e.07 times"):
-            run(z[:2].float(), Gaussian(torch.zeros(6), 1e7 * torch.eye(6)))
-    f(z[:2], Gaussian(torch.zeros(6).double(), 1e7 * torch.eye(6).double()))  # in double precision
-    told = presets.gpb(*CASES["constant velocity"])  # whose four states two measurements tell
-    told(z[:2].float(), Gaussian(torch.zeros(4), 1e7 * torch.eye(4)))
+            run(z, wide)
+    f(z.double(), Gaussian(*(x.double() for x in wide)))
+    several(name, ConstantVelocity)(z, Gaussian(torch.zeros(4), 1e7 * torch.eye(4)))
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
