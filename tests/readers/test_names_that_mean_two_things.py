@@ -128,12 +128,13 @@ def test_a_zone_that_changes_behind_the_first_thousand_rows_is_refused(rows):
         read(path)
 
 
-def test_a_column_may_be_named_with_the_unit_that_stands_beneath_it(rows):
+def test_columns_named_by_their_units_or_numbers_do_not_stop_the_search_for_the_header(rows):
     path = rows("Date,today\nTime,GPS Latitude,GPS Longitude\ns,deg,deg", lambda i: (i, 50 + i / 1e4, 7))
     (track,) = read(path)
-    (again,) = read(path, time=track.source.columns["time"])
     assert track.source.columns["time"] == "Time (s)"
-    assert np.array_equal(track.position, again.position)
+    for words in ({"time": "Time (s)"}, {"time": "1", "lat": "2", "lon": "3"}, {"lat": "2", "lon": "3"}):
+        (again,) = read(path, **words)
+        assert np.array_equal(track.position, again.position)
 
 
 def test_a_year_and_its_parts_are_named_in_the_hint(rows):
@@ -143,3 +144,26 @@ def test_a_year_and_its_parts_are_named_in_the_hint(rows):
         read(path)
     (track,) = read(path, **error.value.args[-1])
     assert track.time[0] == START
+
+
+def test_records_of_fit_are_recognised_behind_an_index(rows):
+    header = ",record.timestamp[s],record.position_lat[semicircles],record.position_long[semicircles]"
+    semicircles = 2**31 / 180
+    path = rows(
+        header, lambda i: (i, START - 631_065_600 + i, round((50 + i / 1e4) * semicircles), round(7 * semicircles))
+    )
+    (track,) = read(path)
+    assert track.time[0] == START
+    assert track.origin[:2] == pytest.approx((50, 7), abs=1e-6)
+
+
+@pytest.mark.parametrize("pair", ['"50.{i},7.1"', '"50.{i}, 7.1"'])
+def test_pairs_of_degrees_are_read_among_other_quoted_cells(rows, pair):
+    cells = ('"{time}"', '"2024-06-03T08:15:{i}Z"', '"AB1"', pair, '"1000"')
+    path = rows(
+        '"Timestamp","UTC","Callsign","Position","Altitude"',
+        lambda i: (",".join(cells).format(i=10 + i, time=START),),
+        40,
+    )
+    (track,) = read(path)
+    assert track.origin[:2] == (50.1, 7.1)

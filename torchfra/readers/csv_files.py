@@ -71,11 +71,13 @@ def csv_sheet(text: str, options: ReadOptions | None) -> Sheet:
         said.append(f"latitude, longitude: both in {pair[0]}")
         names[names.index(pair[0])] = "latitude"
         names.insert(names.index("latitude") + 1, "longitude")
-        rest = re.sub('"([^",\n]*),([^",\n]*)"', r"\1,\2", rest)
     longer, place, width = Counter[str](), {name: i for i, name in enumerate(names)}, len(names)
 
     def mended(row: list[str], before: int) -> list[str]:
         """A row of another length: a comment, or one whose further fields are empty or not asked for."""
+        if pair and len(row) == width - 1:
+            at = place["latitude"]
+            return [*row[:at], *row[at].partition(",")[::2], *row[at + 1 :]]
         if format is not None and format.lines:
             return (row + [""] * width)[:width] if len(row) >= width / 2 else []
         if row[0].lstrip().startswith(_COMMENTS):
@@ -210,7 +212,8 @@ def _beneath(
         The length of these lines, the names with their units, and what is said.
     """
     asked = [name for role in ("x", "y", "latitude", "longitude") for name in options.columns.get(role, ())]
-    places = [names.index(name) for name in asked or places_in(names) if name in names]
+    numbered = [*names, *(str(i + 1) for i in range(len(names)))]
+    places = [numbered.index(name) % len(names) for name in asked or places_in(names) if name in numbered]
     words = list[list[str]]()
     for line in lines[:_BENEATH]:
         cells = _split(line, sign)
@@ -245,9 +248,10 @@ def _is_header(names: list[str], options: ReadOptions | None) -> bool:
         return len(names) > 1
     asked = {name for several in options.columns.values() for name in several if not name.isdigit()}
     full, bare = [*filter(None, names)], {without_unit(name) for name in names}
-    places = bool(places_in(names) or format_of(names) or options.columns.keys() & {"x", "latitude"})
+    places = bool(places_in(names) or format_of(names))
     if asked:
-        return places and all(one in names or without_unit(one) in bare for one in asked)
+        every = all(one in names or without_unit(one) in bare for one in asked)
+        return every and bool(places or options.columns.keys() & {"x", "latitude"})
     return places or (bool(found(names, "time")) and not any(map(_is_number, full)) and len({*full}) == len(full) > 2)
 
 

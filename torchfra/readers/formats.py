@@ -134,8 +134,10 @@ FORMATS = (
            header="latitude,longitude,begins,altitude,days,date,clock", columns={"time": "days"}, time="excel",
            units={"altitude": "ft"}, missing={"altitude": -777.0}),
     # ---------------------------------------------------------------- watches, phones and cars
-    Format("FIT as FitCSVTool writes its records", begins=r'"?record\.timestamp', time="fit|seconds",
-           degrees=_SEMICIRCLES),
+    Format("FIT as FitCSVTool writes its records", "recordtimestamp recordpositionlat", time="fit|seconds",
+           degrees=_SEMICIRCLES,
+           columns={"time": "recordtimestamp", "latitude": "recordpositionlat", "longitude": "recordpositionlong",
+                    "altitude": "recordenhancedaltitude|recordaltitude", "sigma": "recordgpsaccuracy"}),
     Format("FIT as FitCSVTool writes its messages", begins="Type,Local Number,Message,", refused="hand over the .fit"),
     Format("Suunto", "ehpe latitude longitude gpsaltitude",
            columns={"time": "utc", "sigma": "ehpe", "altitude": "gpsaltitude"},

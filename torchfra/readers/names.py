@@ -69,7 +69,7 @@ _KNOWN = {name: role for role, ranks in reversed(_RANKS.items()) for name in ran
 _LONG = ("x", "y", "z", "altitude", "sigma", "sigma_x", "sigma_y", "sigma_z", "semi_major", "semi_minor")
 _IN_FRONT = {
     "gps", "gnss", "pos", "position", "location", "loc", "field", "coord", "coords", "coordinate", "coordinates",
-    "utm", "enu", "pose", "point", "header", "record", "geo", "transform", "translation", "str", "osd",
+    "utm", "enu", "pose", "point", "header", "geo", "transform", "translation", "str", "osd",
     "attributes", "suunto", "sml", "sample", "fix", "lmt",
 }  # fmt: skip
 """Words that stand in front of a name and add nothing to it."""
