@@ -116,7 +116,7 @@ class WithCorrelatedErrors(Around[WithCorrelatedErrorsState]):
         record = record._replace(belief=self.of_target(record.belief), info=self.of_target(record.info), past=past)
         return WithCorrelatedErrorsState(self.of_target(inner.belief), inner), record
 
-    def finish(self, state: WithCorrelatedErrorsState, belief: Gaussian, info: Any) -> tuple[Gaussian, Any]:
+    def finish(self, state: WithCorrelatedErrorsState, belief: Gaussian, info: object) -> tuple[Gaussian, Any]:
         """The estimates of the inner filter, with the target's components alone."""
         return self.inner.finish(self.of_target(state.inner), belief, info)
 

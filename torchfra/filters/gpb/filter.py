@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -591,7 +591,7 @@ class GPB(Filter[GPBState]):
 
     # ------------------------------------------------------------ smoothing
 
-    def past(self, belief: Gaussian, info: Any, state: Any, steps: GPBPast) -> GPBPast:
+    def past(self, belief: Gaussian, info: object, state: object, steps: GPBPast) -> GPBPast:
         """The hypotheses after each step."""
         return steps
 
