@@ -167,3 +167,12 @@ def test_pairs_of_degrees_are_read_among_other_quoted_cells(rows, pair):
     )
     (track,) = read(path)
     assert track.origin[:2] == (50.1, 7.1)
+
+
+@pytest.mark.parametrize(
+    "header", ["timestamp,time_utc_usec,lat,lon,alt,fix_type", "timestamp,time,latitudeE7,longitudeE7"]
+)
+def test_degrees_where_parts_of_them_are_stated_are_refused(rows, header):
+    path = rows(header, lambda i: (i, 10**6 * (START + i), 50 + i / 1e4, 7, 1000, 3)[: header.count(",") + 1])
+    with pytest.raises(ValueError, match=r"expected 1e-07 degrees, at most 9e\+08 of them"):
+        read(path)

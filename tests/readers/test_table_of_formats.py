@@ -47,6 +47,8 @@ FILES = {
         f"SOL_COMPUTED,SINGLE,{a},{o},1000.0,-16.9,WGS84,1.6,1.2,2.5,\"\",0.0,0.0,35,30,30,30,00,06,39,33*2d0d0fc6\n")),
     "NAV-PVT of u-blox": table("iTOW,lat,lon,height,hMSL,hAcc",
         lambda i, a, o: f"{int(1000 * (TOW + i))},{a},{o},1000000,952000,1500"),
+    "OpenLog Artemis of SparkFun": table("rtcDate,rtcTime,gps_Date,gps_Time,gps_Lat,gps_Long,gps_Alt,gps_SIV,gps_FixType",
+        lambda i, a, o: f"2000/01/01,00:00:{i:02}.10,2024/06/03,08:15:{i:02}.000,{a * 1e7:.0f},{o * 1e7:.0f},1000000,12,3"),
     "state vectors of OpenSky": table("time,icao24,lat,lon,baroaltitude,geoaltitude,lastposupdate",
         lambda i, a, o: f"{START + i},abc,{a},{o},1000,1100,{START + i}"),
     "traffic": table("timestamp,icao24,latitude,longitude,altitude,last_position",

@@ -11,7 +11,8 @@ else by these rules:
    Windows' text for western Europe; lines before the header, comments (# or %) and units beneath it are left out.
 2. Columns have English names in any case, with a unit in brackets or behind a blank or a sign: a time; x, y[, z] or
    latitude, longitude[, altitude]; sigma, accuracy or hdop; lengths without a unit are metres, and degrees are decimal
-   ones with a sign.
+   ones with a sign.  An elevation beside an azimuth is an angle, a height beside a width a size, and a track beside the
+   speed of an aircraft its course.
 3. Times are ISO text, UTC where it names no zone, dates that can be read in one order only, perhaps in a column beside
    that of the clock, or numbers: s, ms, us or ns since 1970 by their size, or seconds since any start; rows are in
    order of time, or have dates.

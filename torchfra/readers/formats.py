@@ -119,6 +119,7 @@ FORMATS = (
     Format("ArduPilot", begins=r"FMT, ?[0-9]+,", header=r"^FMT, *\d+, *\d+, *(?=GPS,)(?:GPS, *\w+, *)", lines="GPS,",
            columns={"time": "gwk gms", "id": "i"}, time="gps_ms"),
     Format("NAV-PVT of u-blox", "itow hacc", units={"hmsl": "mm", "height": "mm", "hacc": "mm"}),
+    Format("OpenLog Artemis of SparkFun", "gpssiv lat long", units={"alt": "mm", "altmsl": "mm"}, degrees=_E7),
     Format("GPS_RAW_INT of MAVLink", "fixtype eph hacc", refused="its altitudes and accuracies are mm, and eph has no "
            "unit: write metres, and leave eph out"),
     Format("PX4, vehicle_gps_position", "timeutc lat lon alt fixtype|altellipsoid", columns={"time": "timeutc"},

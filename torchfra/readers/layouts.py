@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -361,8 +362,10 @@ def _kind(role: str, column: str, length: float, format: Format | None, options:
     if unit(column) in ("semicircles", "e7"):
         degrees = 180 / 2**31 if unit(column) == "semicircles" else 1e-7
     limit = _LIMITS[role] / abs(degrees) * (1 + 1e-9)
-    said = f"degrees within +-{_LIMITS[role]:g}" if degrees == 1 else f"at most {limit:g}"
-    return Kind(said, limit=limit, unit=degrees, absent=absent, advice=_ADVICE)
+    parts = f"{abs(degrees):.3g} degrees, at most {limit:g} of them"
+    said = f"degrees within +-{_LIMITS[role]:g}" if degrees == 1 else parts
+    whole = (0.0, 2 * _LIMITS["longitude"]) if abs(degrees) < 1e-6 else (math.inf, math.inf)  # of degrees, not parts
+    return Kind(said, limit=limit, unit=degrees, between=whole, absent=absent, advice=_ADVICE)
 
 
 def _has_commas(head: Head, columns: Iterable[str]) -> bool:
