@@ -176,3 +176,24 @@ def test_degrees_where_parts_of_them_are_stated_are_refused(rows, header):
     path = rows(header, lambda i: (i, 10**6 * (START + i), 50 + i / 1e4, 7, 1000, 3)[: header.count(",") + 1])
     with pytest.raises(ValueError, match=r"expected 1e-07 degrees, at most 9e\+08 of them"):
         read(path)
+
+
+def test_nautical_miles_and_nanometres_have_one_sign_and_are_refused(rows):
+    with pytest.raises(AskError, match=r"column x \(nm\): nm are nautical miles or nanometres: say units='nmi'"):
+        read(rows("t,x (nm),y (nm)", lambda i: (i, i, 3)))
+
+
+def test_hours_that_nobody_names_are_refused_as_too_short_a_time(rows):
+    path = rows("time,lat,lon", lambda i: (i / 3600, 50 + i / 1e4, 7))
+    (track,) = read(path, time_format="hours")
+    assert track.time[-1] - track.time[0] == pytest.approx(ROWS - 1)
+    path = rows("time,lat,lon", lambda i: (i / 86_400, 50 + i / 1e4, 7))
+    with pytest.raises(AskError, match=r"expected more than 1 s, received 60 fixes within 0\.000683 s"):
+        read(path)
+
+
+def test_ships_faster_than_any_are_refused(rows):
+    with pytest.raises(
+        AskError, match="expected speeds below 150 m/s, received 717 m/s as the median of ship 219000001"
+    ):
+        read(rows("mmsi,time,lat,lon", lambda i: (219_000_001, START + i, 50, 7 + i / 1e2)))

@@ -138,4 +138,5 @@ def _cause(layout: Layout) -> tuple[str | dict[str, str], ...]:
         causes += [f"{lon} and {lat} may be metres: ", {"x": lon, "y": lat}, "; "]
     causes += [f"{clock.column} may be another column or in another unit: ", {"time_format": "ms"}, " or ",
                {"time_format": "excel"}, ", say; or it is right: ", {"time_format": clock.kind.form}]  # fmt: skip
-    return *causes, "; rows of several targets in one look so too: name what parts them, such as ", *layout.other_ids
+    parted = ("; rows of several targets in one look so too: name what parts them, such as ", *layout.other_ids)
+    return *causes, *(parted if any(layout.unread) else ())
