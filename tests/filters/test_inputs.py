@@ -186,6 +186,8 @@ def test_noise_of_missing_elements_may_leave_the_others_with_a_singular_root():
     z = Z.clone()
     z[:, 0] = torch.nan
     assert not f(z, PRIOR, noise=root).failed
+    of_the_first = torch.tensor([[1.0, 0.0], [3.0, 0.0]]).double().expand(6, 2, 2)
+    assert not f(z, PRIOR, noise=of_the_first).failed
 
 
 class Station(RangeBearing):

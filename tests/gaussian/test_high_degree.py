@@ -39,6 +39,14 @@ def test_monomials_up_to_degree_five_have_their_exact_mean(make, n):
     torch.testing.assert_close(spread[:, -n:], torch.eye(n).double(), rtol=0, atol=1e-12)
 
 
+def test_the_unscented_transform_without_kappa_is_the_rule_of_degree_three():
+    belief = Gaussian(torch.tensor([0.3, -0.2, 1.0]).double(), torch.eye(3).double())
+    value, spread, _ = unscented(kappa=0.0)(3)(torch.exp, belief, torch.sub)
+    expected, columns, _ = third_degree(3)(torch.exp, belief, torch.sub)
+    torch.testing.assert_close(value, expected)
+    torch.testing.assert_close(spread @ spread.mT, columns @ columns.mT)
+
+
 @pytest.mark.parametrize(("order", "n"), [(2, 3), (3, 1), (3, 2), (4, 3), (5, 2)])
 def test_products_of_gauss_and_hermite_are_exact_in_each_component(order, n):
     rule = gauss_hermite(order)(n)

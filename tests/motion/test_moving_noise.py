@@ -8,6 +8,7 @@ import torch
 from mpmath import mpf
 from numpy.polynomial.legendre import leggauss
 
+from torchfra import Gaussian, presets
 from torchfra.hyper import learnable
 from torchfra.motion import (
     Bicycle,
@@ -20,6 +21,7 @@ from torchfra.motion import (
     Singer,
     UnknownTurn,
 )
+from torchfra.sensors import Position
 
 STEP = 1.5
 
@@ -208,3 +210,11 @@ def test_a_step_of_no_time_leaves_the_state_and_adds_no_noise_with_finite_gradie
     assert (root[1] == 0).all()
     root.square().sum().backward()
     assert all(p.grad is None or p.grad.isfinite().all() for p in motion.parameters())
+
+
+def test_points_that_go_through_motion_and_sensor_alike_have_the_same_noise():
+    prior = Gaussian(tensor(0.0, 0.0, 12.0, 5.0, 0.1), tensor(9.0, 7.0, 2.0, 2.0, 0.05).diag())
+    missing = torch.full((1, 2), torch.nan).double()
+    motion = UnknownTurn(1.0, 0.05, continuous=True)
+    alike, apart = (presets.ukf(motion, Position(2.0), redraw=x)(missing, prior) for x in (False, True))
+    torch.testing.assert_close(alike.covariance, apart.covariance)

@@ -33,8 +33,8 @@ def check(
     size: int,
     *,
     scans: bool = False,
-    name: str = "prior",
-    zero_dt: bool = True,
+    name: str,
+    zero_dt: bool,
 ) -> torch.Size:
     """Checks kinds, shapes and values of a user's arguments, and returns their batch.
 
