@@ -130,6 +130,13 @@ def test_of_a_batch_of_values_only_the_tracks_of_the_bad_one_fail():
         assert (g(z, prior).failure.step >= 0).tolist() == [False, True, False]
 
 
+def test_one_bad_value_of_a_batch_is_refused():
+    fair, nowhere = [1 / 7] * 7, [0.0] * 5 + [0.5, 0.5]
+    presets.gpb(MOTION, SENSOR, restart=[fair, fair])
+    with pytest.raises(ValueError, match="restart: expected a probability above 0 at one of indices"):
+        presets.gpb(MOTION, SENSOR, restart=[fair, nowhere])
+
+
 def test_the_loss_of_a_filter_that_is_nan_is_nan():
     f = spoilt(learnable(presets.rsrckf(MOTION, SENSOR), ["threshold"]), "robust.threshold")
     z, prior = tracks(f)
