@@ -168,6 +168,17 @@ def test_a_restart_waits_until_a_measurement_is_confirmed():
         assert mean[:, 0].abs().max() < 1.2e5
 
 
+@pytest.mark.parametrize("share", [-1.01, -0.99, 0.99, 1.01])
+def test_a_track_starts_where_the_greatest_acceleration_and_the_noise_explain_its_bend(share):
+    f = presets.alphabeta(LINE, SENSOR, **OPTIONS, confirm=True)
+    between, since = 2.0, 3.0
+    ratio = since / between  # of the times by which a line through two measurements goes on to the third
+    noise = 3.6 * 20.0 * math.sqrt(1 + (1 + ratio) ** 2 + ratio**2)
+    bend = share * (0.5 * f.max_acceleration().item() * since * (between + since) + noise)
+    z, dt = torch.tensor([[0.0], [0.0], [bend]]).double(), torch.tensor([1.0, between, since]).double()
+    assert f(z, PRIOR, dt=dt).mean[-1, 1].item() == pytest.approx(bend / since if abs(share) < 1 else 0.0)
+
+
 def test_two_wild_measurements_side_by_side_are_no_restart_either():
     z = torch.cat([100 * torch.arange(20.0), 9e4 - 50 * torch.arange(30.0)]).double()
     z[25:27] += torch.tensor([5e5, -4e5])
