@@ -32,7 +32,7 @@ ROOT = Path(__file__).resolve().parent.parent
 ROOMS = ("linalg", "gaussian", "robust", "adaptive", "steps", "filters")
 TESTS = """
     linalg gaussian robust motion sensors filters presets alarms failed_steps certainty hessian check_model jpda
-    jpda_limits jpda_models late_scans compile compiled_scans divisions long_tracks processors ready_gradients
+    jpda_limits jpda_models late_scans numbers compile compiled_scans divisions long_tracks processors ready_gradients
     ready_steps regions second_order tangents written_functions poses
 """
 """Folders and files of tests about what a filter computes; others reach these rooms through them."""
@@ -188,6 +188,8 @@ def put_in(mutant: Mutant, known: dict[str, list[FunctionType]]) -> None:
         code = new.get((function.__code__.co_firstlineno, function.__code__.co_name), function.__code__)
         if code.co_freevars == function.__code__.co_freevars:
             function.__code__ = code
+        elif (code.co_firstlineno, code.co_name) == mutant.function:
+            raise ValueError(f"line {mutant.line}: expected the same variables of outer functions, received others")
     module = next(m for m in list(sys.modules.values()) if getattr(m, "__file__", None) == file)
     by_key = {(f.__code__.co_firstlineno, f.__code__.co_name): f for f in known[file]}
     for node in ast.walk(mutant.tree):
@@ -277,15 +279,15 @@ class Mutants:
         paths = [p for room in self.options.rooms for p in sorted((ROOT / "torchfra" / room).rglob("*.py"))]
         known = functions_of(paths)
         items = {item.nodeid: item for item in session.items}
-        tests = self.watched(list(items.values()))
+        tests = [t for t in self.watched(list(items.values())) if t.name in items]
         every = [m for path in paths for m in mutants(path)]
         chosen = random.Random(self.options.seed).sample(every, min(self.options.sample or len(every), len(every)))
         if self.options.again:
             left = json.loads(Path(self.options.again).read_text())["survivors"]
             left = {(x["where"], x["change"]) for x in left}
             chosen = [m for m in every if (m.where, m.text) in left]
-        size = {t.name: sum(map(len, t.ran.values())) for t in tests}
         kills: Counter[tuple[str, str]] = Counter()
+        tries: Counter[tuple[str, str]] = Counter()
         counts: Counter[str] = Counter()
         survivors = []
         start = time.monotonic()
@@ -294,14 +296,15 @@ class Mutants:
                 break
             around = [f"{mutant.path}{mutant.function}", str(mutant.path), ""]
             covering = self.covering(mutant, tests)
-            cost = {  # quick tests of little else, and those that found most here, in this file and anywhere
-                t.name: t.seconds * size[t.name] / (1 + sum(kills[x, t.name] / 10**i for i, x in enumerate(around)))
-                for t in covering
-            }
+            cost = {}
+            for t in covering:  # seconds for each mutant found: by what was found here, in this file and anywhere
+                found, tried = (sum(of[x, t.name] / 5**i for i, x in enumerate(around)) for of in (kills, tries))
+                cost[t.name] = t.seconds * (tried + 1) / (found + 0.2)
             covering.sort(key=lambda t, cost=cost: cost[t.name])
-            verdict, by = self.tried(mutant, covering, items, known)
+            verdict, by, number_run = self.tried(mutant, covering, items, known)
             counts[verdict] += 1
             kills.update((x, by) for x in around)
+            tries.update((x, t.name) for x in around for t in covering[:number_run])
             if verdict not in ("found", "hangs", "cannot be put in"):
                 here = {"where": mutant.where, "change": mutant.text}
                 survivors.append(here | {"verdict": verdict, "tests": len(covering)})
@@ -378,31 +381,30 @@ class Mutants:
 
     def tried(
         self, mutant: Mutant, tests: list[Test], items: dict[str, pytest.Item], known: dict[str, list[FunctionType]]
-    ) -> tuple[str, str]:
-        """What became of a mutant, and the name of the test that found it."""
-        tests = [t for t in tests if t.name in items]
+    ) -> tuple[str, str, int]:
+        """What became of a mutant, the name of the test that found it, and how many tests were run."""
         if not tests:
-            return "no test runs it", ""
+            return "no test runs it", "", 0
 
-        def run() -> tuple[str, str]:
+        def run() -> tuple[str, str, int]:
             began = used()
             try:
                 put_in(mutant, known)
             except Exception:  # a value of an Enum, say
-                return "cannot be put in", ""
+                return "cannot be put in", "", 0
             order = [items[t.name] for t in tests]
-            for t, item, after in zip(tests, order, [*order[1:], None], strict=True):
+            for i, (t, item, after) in enumerate(zip(tests, order, [*order[1:], None], strict=True)):
                 if used() - began > self.options.seconds:
-                    return "survived, not all tests run", ""
+                    return "survived, not all tests run", "", i
                 signal.setitimer(signal.ITIMER_PROF, PATIENCE * (t.seconds + 1))
                 self.failed = False
                 item.config.hook.pytest_runtest_protocol(item=item, nextitem=after)
                 if self.failed:
-                    return "found", t.name
-            return "survived", ""
+                    return "found", t.name, i + 1
+            return "survived", "", len(tests)
 
         result = forked(run)
-        return ("hangs", "") if result is None else (result[0], result[1])
+        return ("hangs", "", 0) if result is None else (result[0], result[1], result[2])
 
 
 def used() -> float:

@@ -49,7 +49,7 @@ def test_fading_factors_are_those_of_the_filter_itself_too(inner):
         torch.testing.assert_close(both.mean[0], joint.mean[0])
 
 
-def test_a_missed_target_does_not_fade_whatever_else_was_measured():
+def test_a_missed_target_does_not_fade_whatever_else_was_measured_in_a_batch_too():
     rng = torch.Generator().manual_seed(0)
     own = 60 * torch.randn(16, 1, 2, dtype=torch.float64, generator=rng)
     own[10:12] = math.nan
@@ -60,6 +60,8 @@ def test_a_missed_target_does_not_fade_whatever_else_was_measured():
     assert one.info.fading.max() > 2
     assert (one.info.fading[0, 10:12] == 1).all()
     torch.testing.assert_close(one.mean, other.mean)
+    both = f(torch.stack([torch.cat(scan, 1) for scan in ((own, far), (far, own))]), flat_prior((0.0, 0.0)))
+    torch.testing.assert_close(both.mean, torch.stack([one.mean, other.mean]))
 
 
 @pytest.mark.slow
