@@ -173,6 +173,13 @@ def test_errors_inside_models_tell_whose_they_are(compiled):
             (f.compile() if compiled else f)(Z, PRIOR)
 
 
+@pytest.mark.parametrize(("mean", "root"), [(3, 4), (4, 3), (3, 3)])
+def test_a_filter_does_not_begin_with_a_belief_of_other_states(mean, root):
+    said = rf"prior: expected \(..., 4\) and .*, received \({mean},\) and \({root}, {root}\)"
+    with pytest.raises(ValueError, match=said):
+        presets.srckf(MOTION, SENSOR).init(Gaussian(torch.zeros(mean), torch.eye(root)))
+
+
 def test_values_without_entries_are_refused():
     with pytest.raises(ValueError, match=r"threshold: expected one value or more, received none, \(0,\)"):
         presets.rsrckf(MOTION, SENSOR, threshold=torch.zeros(0))
