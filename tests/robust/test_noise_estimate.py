@@ -171,6 +171,7 @@ def test_an_argument_out_of_range_is_named(scenario):
     for options, message in (
         ({"forgetting": 1.5}, "forgetting"),
         ({"confidence": (0.1, 0.2, 0.3)}, "confidence: expected"),
+        ({"confidence": 1.5}, "confidence: expected a value in"),
         ({"adapt": "never"}, "adapt: expected one of"),
         ({"lowest": 2.0}, "lowest, highest, warmup"),
         ({"warmup": -1}, "lowest, highest, warmup"),
