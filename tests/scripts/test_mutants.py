@@ -42,6 +42,15 @@ def f(x: Literal[3]) -> Literal[4]:
     assert changes(tmp_path, code) == ["raise ValueError(f'expected {x + 1}')  ->  pass"]
 
 
+def test_a_change_is_tried_by_what_runs_the_lines_of_its_statement_without_those_of_its_body(tmp_path):
+    code = ["def f(a,", "      b=1):", "    if (a", "            > 2):", "        return g(", "            a + 3)"]
+    (tmp_path / "a.py").write_text("\n".join(code))
+    lines = {mutant.text: [*mutant.lines] for mutant in mutants.mutants(tmp_path / "a.py")}
+    assert lines["1  ->  2"] == [1, 2, 3, 4, 5, 6]
+    assert lines["2  ->  3"] == [3, 4]
+    assert lines["a + 3  ->  a - 3"] == lines["return g(a + 3)  ->  return None"] == [5, 6]
+
+
 @pytest.mark.slow
 def test_what_no_test_finds_is_said_and_no_file_is_changed(tmp_path):
     before = {path: path.read_bytes() for path in (ROOT / "torchfra/robust").glob("*.py")}
