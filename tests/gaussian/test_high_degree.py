@@ -11,7 +11,7 @@ from torchfra import linalg, presets
 from torchfra.adaptive import Fading
 from torchfra.filters import SRCKF
 from torchfra.gaussian import fifth_degree, gauss_hermite, spherical_fifth_degree, third_degree, unscented
-from torchfra.gaussian.rules import SigmaPoints
+from torchfra.gaussian.rules import FirstOrder, SigmaPoints
 from torchfra.motion import ConstantAcceleration, Motion
 from torchfra.sensors import Position, Sensor
 from torchfra.types import Gaussian
@@ -45,6 +45,15 @@ def test_the_unscented_transform_without_kappa_is_the_rule_of_degree_three():
     expected, columns, _ = third_degree(3)(torch.exp, belief, torch.sub)
     torch.testing.assert_close(value, expected)
     torch.testing.assert_close(spread @ spread.mT, columns @ columns.mT)
+
+
+@pytest.mark.parametrize("rule", [third_degree(3), FirstOrder()])
+def test_a_root_of_all_counts_as_the_root_of_each(rule):
+    mean = torch.randn(2, 4, 3, generator=torch.Generator().manual_seed(0)).double()
+    root = torch.tensor([[2.0, 0.0, 0.0], [0.5, 1.0, 0.0], [0.0, 1.0, 3.0]]).double()
+    found = rule(torch.sin, Gaussian(mean, root), torch.sub)
+    expected = rule(torch.sin, Gaussian(mean, root.expand(2, 4, 3, 3)), torch.sub)
+    torch.testing.assert_close(found[:2], expected[:2])
 
 
 @pytest.mark.parametrize(("order", "n"), [(2, 3), (3, 1), (3, 2), (4, 3), (5, 2)])
