@@ -162,5 +162,6 @@ def test_the_most_precise_step_counts_but_nothing_that_is_missing():
     f, std = presets.srckf(ConstantVelocity(0.01), Position(1.0)), torch.tensor([[1e-3, 1.0], [1e6, 1.0]])
     with pytest.warns(LostDigits, match=r"received 1\.0e\+12 times that of element 0"):
         f(torch.zeros(2, 2), Gaussian(torch.zeros(4), 1.01e9 * torch.eye(4)), std=std)
-    z, prior = torch.tensor([[torch.nan, 0.0]]), Gaussian(torch.zeros(4), 1e9 * torch.eye(4))
-    f(z, prior, noise=torch.tensor([[[0.0, 0.0], [0.0, 1.0]]]))
+    z, prior = torch.tensor([[torch.nan, 0.0]]), Gaussian(torch.zeros(4), 2e12 * torch.eye(4))
+    f(z, prior, std=torch.tensor([[1.0, 1e6]]))
+    f(z, prior, noise=torch.tensor([[[0.0, 0.0], [0.0, 1e6]]]))

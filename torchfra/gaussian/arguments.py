@@ -297,8 +297,7 @@ def warn_of_width(prior: Gaussian, measurements: Measurements, sensor: Sensor, *
         largest = spread.abs().amax(-2, keepdim=True).clamp_min(torch.finfo(spread.dtype).tiny)  # squares may overflow
         wide = torch.linalg.vector_norm(spread / largest, dim=-2) * largest.squeeze(-2)
         wide = wide.reshape(-1, sensor.size).amax(0)
-        least = sensor.measurement_noise(z.to(root), std, noise).std.reshape(-1, sensor.size)
-        ratio = wide / torch.where(least > 0, least, torch.inf).amin(0)
+        ratio = wide * sensor.measurement_noise(z.to(root), std, noise).scale.reshape(-1, sensor.size).amax(0)
     if bool((ratio > widest).any()):
         expected = f"standard deviations below {widest:.0e} times those of the measurement noise"
         received = f"{float(ratio.max()):.1e} times that of element {int(ratio.argmax())}"
