@@ -9,6 +9,7 @@ from joint import STEPS, flat_prior, make, plane
 
 from torchfra import presets, scenarios
 from torchfra.association import ChiSquare, Clutter, Euclidean
+from torchfra.filters.scans.lost_tracks import lost_inflation
 from torchfra.motion import ConstantVelocity
 from torchfra.sensors import Position
 from torchfra.types import Gaussian
@@ -156,3 +157,10 @@ def test_roots_of_other_targets_than_the_means_are_refused():
         ValueError, match=r"^prior\.scale_tril: expected one for each of 3 targets, received \(2, 4, 4\)$"
     ):
         plane()(torch.zeros(5, 3, 2), Gaussian(torch.zeros(3, 4), torch.eye(4).expand(2, 4, 4)))
+
+
+def test_a_track_is_lost_from_the_misses_on_that_are_less_probable_than_stated():
+    missed, none = torch.tensor([2.0, 3.0, 4.0, 5.5]), torch.zeros(4)
+    factor, times = lost_inflation(missed, none, torch.tensor(0.1).log(), 1e-3)  # three in a row are as probable
+    torch.testing.assert_close(times, torch.tensor([0.0, 0.0, 1.0, 2.5]))
+    torch.testing.assert_close(factor, 2.0**times)

@@ -33,6 +33,8 @@ def test_known_gains():
     assert (one.alpha.item(), one.beta.item()) == pytest.approx((0.75, 0.5))
     assert (small.alpha.item(), small.beta.item()) == pytest.approx((0.2708671190, 0.0426946390), abs=1e-10)
     assert gains.benedict_bordner(0.5).beta.item() == pytest.approx(1 / 6)
+    with pytest.raises(ValueError, match="expected index above 0"):
+        gains.kalata([1.0, -1.0])
     damped = gains.critically_damped(0.6)
     assert damped.beta.item() == pytest.approx(2 - 0.64 - 2 * (1 - 0.64) ** 0.5)
 

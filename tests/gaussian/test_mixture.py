@@ -8,6 +8,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from torchfra.filters.forecast import moments
 from torchfra.gaussian import moment_match
 from torchfra.gaussian.mixture import nearest, share_roots
 from torchfra.linalg import elementary
@@ -36,6 +37,14 @@ def test_mean_and_covariance_are_those_of_the_mixture(k, n, kernel, seed):
     np.testing.assert_allclose(mixed.covariance, covariance, atol=1e-11)
     assert (mixed.scale_tril.diagonal(dim1=-2, dim2=-1) >= 0).all()
     assert (mixed.scale_tril.triu(1) == 0).all()
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_a_forecast_of_hypotheses_has_the_moments_of_all(count):
+    each, log_weights = beliefs(count, 2, seed=count), torch.log_softmax(torch.arange(1.0 * count).double(), 0)
+    found, expected = moments(each, log_weights), moment_match(each, log_weights)
+    torch.testing.assert_close(found.mean, expected.mean)
+    torch.testing.assert_close(found.covariance, expected.covariance)
 
 
 def test_samples_of_the_mixture_have_its_moments():
