@@ -158,7 +158,7 @@ def test_what_never_happens_is_as_what_hardly_ever_does(never, motions):
 
 def test_a_level_with_a_belief_of_its_own_smooths_like_a_motion_of_its_own():
     """With a chain in seconds, a separate level is another motion with that process noise, over gaps too."""
-    factor, (calm, stated, agile, jump), (a, b, c, d) = 0.01, (60.0, 30.0, 5.0, 0.5), (0.4, 0.3, 0.2, 0.1)
+    factor, (calm, stated, agile, jump), (a, b, c, d) = 0.01, (60.0, 30.0, 10.0, 0.5), (0.4, 0.3, 0.2, 0.1)
     sensor, q, ranges = Position(5.0), 0.5, {"jump_factors": (9.0,)}
     one = presets.gpb(
         ConstantVelocity(q), sensor, noise_levels=(factor, 1.0, 50.0), durations=(calm, stated, agile, 1.0, jump),

@@ -143,7 +143,7 @@ def switched(weights: Array, stays: Array, after: Array) -> Array:
     for q in MODES:
         ended = weights[q] * (1 - stays.sum(1))
         begun = weights[q] @ (after - stays)
-        pairs[q] = weights[q][:, None] * stays + np.outer(ended / ended.sum(), begun)
+        pairs[q] = weights[q][:, None] * stays + np.outer(ended / (ended.sum() or 1.0), begun)
     return pairs
 
 

@@ -207,7 +207,8 @@ class GPB(Filter[GPBState]):
         doubt = torch.ones_like(mean[..., 0])
         noise = None if self.noise is None else self.noise.begin(outlier, self.sensor.size)
         kept = *to_state(every, (OUTLIER, MOTION)), outlier, self.outliers.unreliable_next(outlier)
-        return GPBState(belief, belief, *kept, outlier, doubt, torch.ones_like(doubt), relaxation, last, noise)
+        since = torch.ones_like(doubt), torch.zeros_like(doubt), relaxation
+        return GPBState(belief, belief, *kept, outlier, doubt, *since, last, noise)
 
     def advance(self, state: GPBState, frame: Frame) -> tuple[GPBState, Record]:
         """One step."""
@@ -221,7 +222,8 @@ class GPB(Filter[GPBState]):
         regimes, outliers, measured = self.regimes, self.outliers_of(frame.sensor), frame.measured.sum(-1) > 0
         before, stated = from_state(state.hypotheses, state.log_weights, (BEFORE, MOTION)), frame
         noise, frame = self.noise_of(state, frame)
-        switching = regimes.switch(before.log_weight, frame.dt, measured)  # (1)
+        seconds = regimes.counted(state.unmeasured, frame.dt)
+        switching = regimes.switch(before.log_weight, seconds, measured)  # (1)
         mixed, mixing = self.mix(before.belief, switching)  # (2)
         relaxation = outliers.relaxation(state.relaxation, frame.dt)
         predicted, surprise, widening = self.predict_regimes(
@@ -268,7 +270,8 @@ class GPB(Filter[GPBState]):
         doubt = torch.where(measured, 0.5 * state.doubt, state.doubt)
         widened = torch.where(state.doubt > FIRST, widening, torch.where(state.doubt > THIRD, state.widening, 1.0))
         widened = torch.where(measured, widened, state.widening)
-        now = GPBState(belief, lagged, *kept, state.duration, doubt, widened, relaxation, last, noise)
+        unmeasured = torch.where(measured, 0.0, (state.unmeasured + frame.dt).to(doubt))
+        now = GPBState(belief, lagged, *kept, state.duration, doubt, widened, unmeasured, relaxation, last, noise)
         alarm = self.alarm(state, now, posterior.some_outlier, frame)
         now = now._replace(duration=alarm.duration)  # the alarm has counted this step
 
@@ -281,7 +284,7 @@ class GPB(Filter[GPBState]):
         seen = measured.to(widening).expand_as(widening)
         rarity = rarity.squeeze(MOTION).movedim((0, 1), (-2, -1))
         hypotheses = (updated.log_weight - posterior.log_likelihood).movedim((0, 1, 2), (-3, -2, -1))
-        past = GPBPast(*kept, by_belief, widening, rarity, seen, hypotheses, relaxation, ratio)
+        past = GPBPast(*kept, by_belief, widening, rarity, seen, hypotheses, unmeasured, relaxation, ratio)
         residual, density = expected.residual, posterior.log_likelihood + frame.measurement_noise.log_norm
         if noise is not None:  # a record is in units of the stated noise
             std = frame.measurement_noise.std / stated.measurement_noise.std
@@ -526,7 +529,8 @@ class GPB(Filter[GPBState]):
     def predict_hypotheses(self, state: GPBState, frame: Frame) -> tuple[Gaussian, Tensor]:
         """Hypotheses ``(2 R, ..., n)`` of the state after a step, and logs of their weights."""
         before = from_state(state.hypotheses, state.log_weights, (BEFORE, MOTION))
-        switching = self.regimes.switch(before.log_weight, frame.dt, torch.ones_like(frame.dt, dtype=torch.bool))
+        seconds = self.regimes.counted(state.unmeasured, frame.dt)
+        switching = self.regimes.switch(before.log_weight, seconds, torch.ones_like(seconds, dtype=torch.bool))
         mixed, _ = self.mix(before.belief, switching)
         relaxation = self.outliers.relaxation(state.relaxation, frame.dt)
         predicted, _, _ = self.predict_regimes(mixed, switching.log_weight, frame, state.doubt, relaxation)

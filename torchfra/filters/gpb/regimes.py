@@ -40,6 +40,10 @@ NEARER = 0.01
 jumped."""
 FASTER = 3.0
 """Standard deviation of the velocity after a jump, in those of the speed before, at least; of the acceleration too."""
+LASTS = 2.0
+"""Measurements that a level of a single motion lasts for at least, or some more: a chain in seconds moves on by no more
+of the shortest sojourn time between two measurements.  If it went on, levels would be drawn anew with every measurement
+where steps are long, and process noise that is stated wrongly would never be noticed."""
 NEVER = 1e-12
 """Probability at a restart up to which a jump hardly ever begins, however far off a measurement is."""
 LANDED = ("jump", "settled")
@@ -154,7 +158,8 @@ class Regimes(Part):
         self_transition: self-transition probabilities by kind or regime, of a step, whatever its ``dt``; that of a jump
             is of a settled target, and of a step with a measurement.
         durations: instead of these, mean sojourn times, s, by kind or regime: a Markov chain in continuous time.  That
-            of a jump is of a settled target, and in measurements.
+            of a jump is of a settled target, and in measurements.  However long a step, levels of a single motion
+            last for some two measurements at least: see ``counted``.
         restart: restart distribution, by kind or regime as these are, which sums to one; by kind, other motions share
             theirs evenly, and a level with its climb.  Of jumps it says only how they share what is theirs.
         manoeuvre_factors: ``(..., M)`` factors on the variance of the stated process noise per unit of the normalised
@@ -339,6 +344,26 @@ class Regimes(Part):
             present = as_tensor([float(k in self.begins) for k in range(restart.shape[-1])], restart)
             restart = restart * present / (restart * present).sum(-1, keepdim=True)
         return durations, generator(durations, restart.unsqueeze(-2))
+
+    def counted(self, unmeasured: Tensor, dt: Tensor) -> Tensor:
+        """The seconds ``(...)`` by which the chain moves on in a step, of a single motion as many as ``LASTS`` says.
+
+        Motions of a bank begin and end as time passes, measured or not.
+
+        Args:
+            unmeasured: ``(...)`` seconds from the last measurement to the beginning of the step.
+            dt: ``(...)`` seconds.
+        """
+        if self.durations is None or self.motions > 1:
+            return dt
+        longest = self._longest(dt)
+        return torch.minimum(unmeasured + dt, longest) - torch.minimum(unmeasured, longest)
+
+    @once
+    def _longest(self, like: Tensor) -> Tensor:
+        """The most ``(...)`` seconds between two measurements that count, for ``like (...)``."""
+        levels = sorted({regime.entry for regime in self.each if regime.kind == "level"})
+        return taken(self.durations(like), levels, -1).amin(-1) / LASTS  # type: ignore[misc]  # there are some
 
     def switch(self, log_weight: Tensor, dt: Tensor, measured: Tensor) -> Switching:
         """How regimes with log weights ``(1, R, 2, ...)`` switch between two steps ``dt (...)`` seconds apart.

@@ -59,11 +59,12 @@ def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
     surprise = Surprise(*(x.movedim(-1, 0)[None, None, :, None] for x in step.next.surprise))
     before = from_state(step.past.hypotheses, step.past.log_weights, (BEFORE, MOTION_BEFORE), AXES)
     later = from_state(after.hypotheses, after.log_weights, (OUTLIER, MOTION), AXES)
-    prior = _prior(regimes, f.outliers, step.past, step.next, surprise, frame.dt)
+    seconds = regimes.counted(step.past.unmeasured, frame.dt)
+    prior = _prior(regimes, f.outliers, step.past, step.next, surprise, frame.dt, seconds)
 
     # All later measurements, as the one measurement that turns each prediction into its smoothed belief.
     source = from_state(step.source.hypotheses, step.source.log_weights, (BEFORE, MOTION), AXES)
-    mixed, _ = f.mix(source.belief, regimes.switch(source.log_weight, frame.dt, measured))
+    mixed, _ = f.mix(source.belief, regimes.switch(source.log_weight, seconds, measured))
     # Shift and process noise are those of the forward pass.
     frame = adapted(frame, for_bank(mixed, len(f.bank)).mean)
     rows = f.outlying_rows(step.next.widening).unsqueeze(MOTION_BEFORE)
@@ -94,7 +95,7 @@ def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
 
 
 def _prior(
-    regimes: Regimes, outliers: Outliers, past: GPBPast, after: GPBPast, surprise: Surprise, dt: Tensor
+    regimes: Regimes, outliers: Outliers, past: GPBPast, after: GPBPast, surprise: Surprise, dt: Tensor, seconds: Tensor
 ) -> Tensor:
     """Logs ``(2, R, 2, R, ...)`` of the joint probabilities of outliers and regimes, now and in the step before.
 
@@ -102,7 +103,7 @@ def _prior(
     """
     measured = after.measured > 0
     log_weight = past.log_weights.movedim((-2, -1), (0, 1))  # (2, R, ...)
-    regime = log_weight + regimes.transition(log_weight.transpose(0, 1), dt, measured)
+    regime = log_weight + regimes.transition(log_weight.transpose(0, 1), seconds, measured)
     unreliable = outliers.unreliable_next(past.outlier, past.unreliable)
     log_mode, _ = outliers.predict(past.outlier, unreliable, outliers.relaxation(past.relaxation, dt), measured)
     if after.log_same_offset is not None:

@@ -47,6 +47,8 @@ class GPBState(NamedTuple):
     whose first measurement is uncertain its mean."""
     widening: Tensor
     """``(...)`` factor of ``GPB.widening`` at the first measurement; 1 before, and from the fourth on."""
+    unmeasured: Tensor
+    """``(...)`` seconds since the last measurement; since the first step before there is one."""
     relaxation: Tensor | None = None
     """``(...)`` how far the Markov chain of outliers has returned to its stationary distribution since the last
     measurement: 0 at a measurement, 1 before the first.  None where outliers have no durations."""
@@ -106,6 +108,8 @@ class GPBPast(NamedTuple):
     """``(...)`` 1 where the step has a measurement, else 0."""
     posterior: Tensor
     """``(..., 2, R, 2)`` logs of the probabilities of hypotheses: an outlier now, the regime, an outlier before."""
+    unmeasured: Tensor
+    """See ``GPBState``."""
     relaxation: Tensor | None = None
     """See ``GPBState``."""
     log_same_offset: Tensor | None = None
@@ -115,4 +119,4 @@ class GPBPast(NamedTuple):
         """As in ``records.Past``: of the next step all that is no belief and not what is merged from it."""
         none: Any = None  # ``retreat`` reads no others
         kept = self.surprise, self.widening, self.rarity, self.measured, self.posterior
-        return GPBPast(none, none, none, none, *kept, None, self.log_same_offset)
+        return GPBPast(none, none, none, none, *kept, none, None, self.log_same_offset)

@@ -105,6 +105,10 @@ def _of_regimes(inner: GPB, states: GPBState, log_weights: Tensor) -> GPBState:
     _, shares = _shared(inner.regimes.log_by_belief(joint, -1), log_weights[..., None, None])  # (P, ..., 2, K)
     _, modes = _shared(log_sum(joint, -1), log_weights[..., None])  # (P, ..., 2)
     angles = inner.motion.angles
+
+    def mean(x: Tensor) -> Tensor:
+        return averaged(x.unsqueeze(-1), log_weights).squeeze(-1)
+
     return GPBState(
         moment_match(states.belief, log_weights, angles),
         moment_match(states.lagged, log_weights, angles),
@@ -113,9 +117,10 @@ def _of_regimes(inner: GPB, states: GPBState, log_weights: Tensor) -> GPBState:
         averaged(states.outlier, modes[..., 1]),
         averaged(states.unreliable, modes),
         averaged(states.duration, log_weights),
-        averaged(states.doubt.unsqueeze(-1), log_weights).squeeze(-1),
-        averaged(states.widening.unsqueeze(-1), log_weights).squeeze(-1),
-        None if states.relaxation is None else averaged(states.relaxation.unsqueeze(-1), log_weights).squeeze(-1),
+        mean(states.doubt),
+        mean(states.widening),
+        mean(states.unmeasured),
+        None if states.relaxation is None else mean(states.relaxation),
         tree.map_tensors(lambda x: torch.zeros_like(x[0]), states.last),  # it is not known whose measurement it was
         None if states.noise is None else _of_noise(states.noise, log_weights),
     )
