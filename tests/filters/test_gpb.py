@@ -326,7 +326,7 @@ def test_a_motion_that_measures_itself_slips_and_has_no_manoeuvres_unless_it_is_
             ("asked for", own, {"manoeuvres": "some"}), ("any other", plain, {}),
         )
     }  # fmt: skip
-    assert levels == {"odometry": 2, "with a bias": 2, "asked for": 5, "any other": 5}
+    assert levels == {"odometry": 2, "with a bias": 2, "asked for": 6, "any other": 6}
 
 
 # ---------------------------------------------------------------- noise that is learned

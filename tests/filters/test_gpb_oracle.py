@@ -446,7 +446,7 @@ def test_regimes_have_names_in_the_order_of_their_probabilities():
 def test_climbs_are_for_motions_in_space_unless_values_are_given():
     plane = presets.gpb(ConstantVelocity(1.0), Position(5.0))
     none = presets.gpb(SPACE, SENSOR, manoeuvres="none")
-    own = presets.gpb(SPACE, SENSOR, noise_levels=(0.1, 1.0, 2.0, 50.0, 500.0))
+    own = presets.gpb(SPACE, SENSOR, noise_levels=(0.1, 0.3, 1.0, 2.0, 50.0, 500.0))
     asked = presets.gpb(SPACE, SENSOR, noise_levels=(0.1, 1.0, 50.0, 500.0), climbs=True)
     counts = [f.regimes.kinds.count("climb") for f in (plane, none, own, presets.gpb(SPACE, SENSOR), asked)]
     assert counts == [0, 0, 0, 1, 1]

@@ -561,7 +561,7 @@ def test_both_readings_of_a_doubtful_measurement_wait_for_the_next(motion):
 
 
 def test_of_one_motion_the_regimes_wait_too_if_they_count_steps():
-    f = presets.gpb(CONTINUOUS["one motion"], FIXES, self_transition=(0.998, 0.999, 0.87, 0.95, 0.7, 0.96, 0.06))
+    f = presets.gpb(CONTINUOUS["one motion"], FIXES, self_transition=(0.998, 0.998, 0.999, 0.87, 0.95, 0.7, 0.96, 0.06))
     before = after_some(f, "one motion")
     state, _ = f.step(before, NOTHING)
     torch.testing.assert_close(lasting(f, state), lasting(f, before), rtol=1e-10, atol=1e-10)

@@ -27,7 +27,7 @@ BANK = [ConstantVelocity(0.1, orders=3, continuous=True), CoordinatedTurn(0.1, 1
         ConstantVelocity(4.0, orders=3, continuous=True)]  # fmt: skip
 SENSOR = Position(3.0)
 PRIOR = Gaussian(torch.zeros(6, dtype=torch.float64), torch.diag(tensor(10, 10, 10, 10, 1, 1)))
-LEVELS = {"durations": (1000.0, 60.0, 5.0, 20.0, 3.0, 130.0, 0.7)}
+LEVELS = {"durations": (1000.0, 500.0, 60.0, 5.0, 20.0, 3.0, 130.0, 0.7)}
 WRONG = {"outlier_durations": (100.0, 4.0)}
 
 
@@ -138,9 +138,11 @@ def test_gradients_of_a_subset_are_finite_where_no_time_passes(run):
 # ---------------------------------------------------------------- regimes and outliers
 
 
+@pytest.mark.parametrize("agile", [9.0, 1.0])
 @pytest.mark.parametrize("motions", [1, 3])
-def test_gpb_is_what_loops_over_hypotheses_say(motions):
-    case, last, restart = gpb_loops.position(), (40.0, 9.0, 6.0, 0.8), (0.5, 0.3, 0.15, 0.05)
+def test_gpb_is_what_loops_over_hypotheses_say(motions, agile):
+    case, last, restart = gpb_loops.position(), (40.0, agile, 6.0, 0.8), (0.5, 0.3, 0.15, 0.05)
+    longest = agile / 2 if motions == 1 else np.inf
     bank = [ConstantAcceleration(0.05), ConstantVelocity(0.5, orders=3), CoordinatedTurn(-0.2, 0.1, orders=3)][:motions]
     dt = np.linspace(0.3, 2.0, gpb_loops.STEPS)
     of_steps, regimes = gpb_loops.regimes((0.5,) * 4, restart, (0.1, 30.0), motions=motions)
@@ -151,8 +153,13 @@ def test_gpb_is_what_loops_over_hypotheses_say(motions):
     by_regime, odds = np.array([*last[:2], *[last[2]] * others]), regimes.restart
     generator = (np.tile(odds, (len(odds), 1)) - np.eye(len(odds))) / by_regime[:, None]
     first = odds * by_regime / (odds * by_regime).sum()
+    counted, since = [], 0.0
+    for z, step in zip(case.z, dt, strict=True):  # no more between two measurements than half of what a level lasts
+        counted.append(min(since + step, longest) - min(since, longest))
+        since = since + step if np.isnan(z).all() else 0.0
+    assert (min(counted) < dt.min()) == (longest < 2)
     regimes = regimes._replace(
-        seconds=lambda k: (np.exp(-dt[k] / by_regime), oracle.exponential(generator * dt[k])),
+        seconds=lambda k: (np.exp(-counted[k] / by_regime), oracle.exponential(generator * counted[k])),
         first=first,
         steps=dt.__getitem__,
         keeps=[np.exp(-1 / last[3])],  # measurements
@@ -207,6 +214,27 @@ def test_regimes_over_a_gap_are_as_likely_whatever_the_steps():
     torch.testing.assert_close(three.info.probabilities[:, -1], one.info.probabilities[:, -1], rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.parametrize("off", [0.01, 0.1, 10.0, 100.0])
+@pytest.mark.parametrize("seconds", [1.0, 60.0])
+def test_process_noise_that_is_stated_too_small_or_too_large_is_noticed_however_long_steps_are(seconds, off):
+    g, true, runs, steps = torch.Generator().manual_seed(0), 0.2**2 / seconds**3, 40, 60
+    motion = ConstantVelocity(true, continuous=True)
+    F, L = motion.transition(tensor(seconds)[0]), motion.process_noise(tensor(seconds)[0])
+    prior = Gaussian(torch.zeros(4, dtype=torch.float64), torch.diag(tensor(1, 1, 1 / seconds, 1 / seconds)))
+    x, path = torch.randn(runs, 4, dtype=torch.float64, generator=g) @ prior.scale_tril, []
+    for _ in range(steps):
+        x = x @ F.mT + torch.randn(runs, L.shape[-1], dtype=torch.float64, generator=g) @ L.mT
+        path.append(x)
+    truth = torch.stack(path, 1)[..., :2]
+    z = truth + torch.randn(truth.shape, dtype=torch.float64, generator=g)
+    stated = presets.gpb(ConstantVelocity(true / off, continuous=True), Position(1.0))
+    found, best = (
+        (f(z, prior, dt=seconds).mean[:, 20:, :2] - truth[:, 20:]).square().mean().sqrt()
+        for f in (stated, presets.srckf(motion, Position(1.0)))
+    )
+    assert found < 1.12 * best
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("make", [
     partial(presets.gpb, BANK[:2], SENSOR, manoeuvres="none", durations=(60.0, 9.0), **WRONG),
@@ -228,13 +256,13 @@ def test_durations_learn_and_compile(make):
 @pytest.mark.parametrize(("make", "message"), [
     (lambda: presets.imm(BANK, SENSOR, durations=0.0), "durations: expected"),
     (lambda: presets.imm(BANK, SENSOR, durations=torch.inf), "durations: expected finite"),
-    (lambda: presets.gpb(BANK, SENSOR, durations=(1.0,) * 6 + (torch.inf,)), "durations: expected finite"),
+    (lambda: presets.gpb(BANK, SENSOR, durations=(1.0,) * 7 + (torch.inf,)), "durations: expected finite"),
     (lambda: presets.gpb(BANK, SENSOR, outlier_durations=(10.0, torch.inf)), "outlier_durations: expected finite"),
     (lambda: presets.imm(BANK, SENSOR, durations=tensor(1.0, 2.0)), r"durations: expected a number or \(3,\)"),
     (lambda: presets.imm(BANK[:1], SENSOR, durations=1.0), "durations: expected None for a single model"),
     (lambda: presets.imm(BANK, SENSOR, durations=1.0, transition=torch.full((3, 3), 1 / 3)), "a diagonal of 0"),
-    (lambda: presets.gpb(BANK, SENSOR, durations=(1.0, 2.0)), r"durations: expected \(..., 7\)"),
-    (lambda: presets.gpb(BANK, SENSOR, self_transition=(0.5,) * 7, **LEVELS),
+    (lambda: presets.gpb(BANK, SENSOR, durations=(1.0, 2.0)), r"durations: expected \(..., 8\)"),
+    (lambda: presets.gpb(BANK, SENSOR, self_transition=(0.5,) * 8, **LEVELS),
      "self_transition, durations: expected one of them"),
     (lambda: presets.gpb(BANK, SENSOR, outlier_durations=(10.0, 0.0)), "outlier_durations: expected"),
     (lambda: presets.gpb(BANK, SENSOR, outlier_durations=(1.0, 1.0), outlier_transition=((0.9, 0.1), (0.5, 0.5))),

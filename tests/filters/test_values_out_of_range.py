@@ -17,7 +17,7 @@ from torchfra.stream import Tracker
 from torchfra.targets import SPRT, Deletion, Targets, TwoPoint
 
 MOTION, SENSOR, BANK = ConstantVelocity(1.0), Position(2.0), [ConstantVelocity(1.0), ConstantVelocity(100.0)]
-DURATIONS = {"durations": (100.0,) * 7, "outlier_durations": (100.0, 3.0), "outlier_offsets": (1.0, 2.0, 3.0, 4.0)}
+DURATIONS = {"durations": (100.0,) * 8, "outlier_durations": (100.0, 3.0), "outlier_offsets": (1.0, 2.0, 3.0, 4.0)}
 SINGLE = ["rsrckf", "hghckf1", "hghckf2", "mr_ckf", "asrckf", "iaukf", "fra", "alphabeta"]
 """Every part with hyperparameters of its own is in one of the filters."""
 FILTERS = {name: (lambda name=name: getattr(presets, name)(MOTION, SENSOR)) for name in SINGLE} | {
@@ -131,7 +131,7 @@ def test_of_a_batch_of_values_only_the_tracks_of_the_bad_one_fail():
 
 
 def test_one_bad_value_of_a_batch_is_refused():
-    fair, nowhere = [1 / 7] * 7, [0.0] * 5 + [0.5, 0.5]
+    fair, nowhere = [1 / 8] * 8, [0.0] * 6 + [0.5, 0.5]
     presets.gpb(MOTION, SENSOR, restart=[fair, fair])
     with pytest.raises(ValueError, match="restart: expected a probability above 0 at one of indices"):
         presets.gpb(MOTION, SENSOR, restart=[fair, nowhere])

@@ -31,40 +31,42 @@ MANOEUVRES: dict[str, dict[str, Any]] = {
         "durations": (1078, 19.5, 25.27, 2.0), "restart": (0.076, 0.006, 0.908, 0.01),
     },
     "some": {
-        "noise_levels": (0.00612, 1.0, 2.05, 142.0, 2e4), "separate_levels": 1,
+        "noise_levels": (0.00612, 0.08, 1.0, 10.0, 142.0, 2e4), "separate_levels": (0, 1, 3, 4),
         "manoeuvre_factors": (), "jump_factors": (7.56,),
-        "durations": (499.5, 1078, 7.007, 19.5, 2.804, 25.27, 2.0),
-        "restart": (0.0291, 0.0613, 0.159, 0.005, 0.001, 0.7346, 0.01),
+        "durations": (499.5, 499.5, 1078, 7.007, 19.5, 2.804, 25.27, 2.0),
+        "restart": (0.0261, 0.003, 0.0613, 0.159, 0.005, 0.001, 0.7346, 0.01),
     },
     "hard": {
-        "noise_levels": (0.00612, 1.0, 2.05, 142.0, 2e4), "separate_levels": 1,
+        "noise_levels": (0.00612, 0.08, 1.0, 10.0, 142.0, 2e4), "separate_levels": (0, 1, 3, 4),
         "manoeuvre_factors": (100.0,), "jump_factors": (7.56,),
-        "durations": (499.5, 1078, 7.007, 19.5, 2.804, 25.27, 0.4343, 2.0),
-        "restart": (0.0291, 0.0613, 0.159, 0.005, 0.001, 0.7345, 0.0001, 0.01),
+        "durations": (499.5, 499.5, 1078, 7.007, 19.5, 2.804, 25.27, 0.4343, 2.0),
+        "restart": (0.0261, 0.003, 0.0613, 0.159, 0.005, 0.001, 0.7345, 0.0001, 0.01),
     },
 }  # fmt: skip
-"""Values for each ``manoeuvres``.  Of ``"some"``, levels up to 2.05 and their restarts were optimised; the calm level's
-duration is the largest with consistent covariances of turning targets.  The others were chosen by hand: where the
-models hold, among spikes and heavy tails, and in the scenarios of bearings."""
+"""Values for each ``manoeuvres``.  Levels are a ladder, so that process noise that is stated a hundred times off either
+way is near one of them; each has a belief of its own, as a single step hardly shows which it is, but for the stated and
+the largest.  Restarts of the calm and the stated level were optimised; the calm level's duration is the largest with
+consistent covariances of turning targets.  The others were chosen by hand: where the models hold, among spikes and
+heavy tails, and in the scenarios of bearings."""
 
 IN_SPACE: dict[str, dict[str, Any]] = {
     "none": MANOEUVRES["none"],
     "jumps": MANOEUVRES["jumps"],
     "slips": MANOEUVRES["slips"],
     "some": {
-        "noise_levels": (0.00612, 1.0, 142.0, 2e4), "separate_levels": 1,
+        "noise_levels": (0.00612, 1.0, 142.0, 2e4), "separate_levels": (0, 2),
         "manoeuvre_factors": (), "jump_factors": (7.56,),
         "durations": (499.5, 1078, 19.5, 2.804, 25.27, 2.0),
         "restart": (0.0346, 0.0729, 0.006, 0.0012, 0.8733, 0.012),
     },
     "hard": {
-        "noise_levels": (0.00612, 1.0, 142.0, 2e4), "separate_levels": 1,
+        "noise_levels": (0.00612, 1.0, 142.0, 2e4), "separate_levels": (0, 2),
         "manoeuvre_factors": (100.0,), "jump_factors": (7.56,),
         "durations": (499.5, 1078, 19.5, 2.804, 25.27, 0.4343, 2.0),
         "restart": (0.0346, 0.0729, 0.006, 0.0012, 0.8732, 0.0001, 0.012),
     },
 }  # fmt: skip
-"""The values with climbs: those of ``MANOEUVRES`` without the lower agile level, so that a step takes no longer."""
+"""The values with climbs: those of ``MANOEUVRES`` without the levels of 0.08 and 10, so that a step takes no longer."""
 
 OUTLIER_TRANSITION = ((0.98, 0.02), (0.6, 0.4))
 
@@ -117,8 +119,9 @@ def gpb(
         noise_levels: factors on the variance of the (first) motion's process noise, ascending: a calm level, the stated
             process noise (1), and agile levels.  Calm and agile levels are for targets that do not move as stated.
         separate_levels: the number of lowest levels that keep beliefs of their own, or the indices of any; the others
-            share one.  None is the value of ``manoeuvres``, and 0 for one level.  With 0 the calm level can hardly be
-            distinguished from the others, and errors of targets that hardly manoeuvre are far larger.
+            share one.  None is the value of ``manoeuvres``; where ``noise_levels`` are given it is the lowest of
+            several.  Levels that share a belief can hardly be distinguished: with 0 errors of targets that hardly
+            manoeuvre are far larger, as are those of targets that move unlike what is stated.
         manoeuvre_factors: factors on the variance of the stated process noise in a manoeuvre, per unit of the
             normalised innovation squared per element.
         jump_factors: factors on the covariance of the position after a jump, per unit of the normalised innovation
@@ -133,7 +136,8 @@ def gpb(
             ``manoeuvres="none"``.
         durations: mean sojourn times of the regimes, s: of each level, any other motion, each manoeuvre, each jump; for
             three or more motions also one for each other motion.  That of a jump is in measurements, for which its
-            belief stays apart from the others.
+            belief stays apart from the others.  However long a step, levels of a single motion last for some two
+            measurements at least.
         climbs: whether a calm target may climb or sink by the stated process noise: one more regime for each separate
             level, with its probabilities, and defaults ``presets.regimes.IN_SPACE``.  None is True for a motion in
             space (``Motion.vertical``) if no argument from ``noise_levels`` to ``durations`` is given.
@@ -200,8 +204,8 @@ def gpb(
     values = (IN_SPACE if climbs else MANOEUVRES)[manoeuvres] | given
     if self_transition is not None and durations is None:
         del values["durations"]
-    if separate_levels is None and as_numbers(values["noise_levels"], "noise_levels").shape[-1:].numel() <= 1:
-        values["separate_levels"] = 0  # the only level
+    if separate_levels is None and noise_levels is not None:
+        values["separate_levels"] = min(1, as_numbers(noise_levels, "noise_levels").shape[-1:].numel() - 1)
     regimes = Regimes(count, **values, burst=burst, vertical=models.vertical if climbs else ())
     if outlier_durations is None and outlier_transition is None:
         outlier_transition = OUTLIER_TRANSITION
