@@ -413,6 +413,6 @@ def test_the_values_of_gpb_in_its_table_are_what_it_takes_and_its_own():
         value = ast.literal_eval(f"({value},)")
         scenario = scenarios.bearings_outliers()
         given = {argument: value[0] if len(value) == 1 and argument != "jump_factors" else value}
-        one, own = (presets.gpb(scenario.bank, scenario.sensor, **options) for options in (given, {}))
+        one, own = (presets.gpb(scenario.motion, scenario.sensor, **options) for options in (given, {}))
         for (name, x), y in zip(one.state_dict().items(), own.state_dict().values(), strict=True):
             torch.testing.assert_close(x, y, rtol=1e-3, atol=0, msg=f"{argument}: {name}")

@@ -375,7 +375,9 @@ def line_at_place(belief: Belief, z: Array, model: Model, k: int) -> Line:
     gain = seen.Pxz @ np.linalg.inv(seen.Pzz)
     moved, after = gain @ seen.e, P - gain @ seen.Pzz @ gain.T
     there = read((mean + moved, NEAR**2 * after), z, model, k)
-    bent = np.abs(units @ (there.e - seen.e + seen.H @ moved)) / np.diag(units @ seen.H @ P @ seen.H.T @ units.T)
+    left = seen.e - seen.H @ moved
+    reached = np.abs(units @ left).max() <= math.sqrt(BENT)
+    bent = reached * np.abs(units @ (there.e - left)) / np.diag(units @ seen.H @ P @ seen.H.T @ units.T)
     point, square = mean, NEAR**2 * np.diag(P)
     for _ in range(NEWTON):
         seen = line(point, square)

@@ -31,42 +31,56 @@ MANOEUVRES: dict[str, dict[str, Any]] = {
         "durations": (1078, 19.5, 25.27, 2.0), "restart": (0.076, 0.006, 0.908, 0.01),
     },
     "some": {
-        "noise_levels": (0.00612, 0.08, 1.0, 10.0, 142.0, 2e4), "separate_levels": (0, 1, 3, 4),
+        "noise_levels": (0.00612, 0.08, 1.0, 30.0, 142.0, 2e4), "separate_levels": (0, 1, 3),
         "manoeuvre_factors": (), "jump_factors": (7.56,),
-        "durations": (499.5, 499.5, 1078, 7.007, 19.5, 2.804, 25.27, 2.0),
-        "restart": (0.0261, 0.003, 0.0613, 0.159, 0.005, 0.001, 0.7346, 0.01),
+        "durations": (499.5, 499.5, 1078, 60.0, 19.5, 2.804, 25.27, 2.0),
+        "restart": (0.0261, 0.003, 0.0613, 0.02, 0.005, 0.001, 0.8736, 0.01),
     },
     "hard": {
-        "noise_levels": (0.00612, 0.08, 1.0, 10.0, 142.0, 2e4), "separate_levels": (0, 1, 3, 4),
+        "noise_levels": (0.00612, 0.08, 1.0, 30.0, 142.0, 2e4), "separate_levels": (0, 1, 3),
         "manoeuvre_factors": (100.0,), "jump_factors": (7.56,),
-        "durations": (499.5, 499.5, 1078, 7.007, 19.5, 2.804, 25.27, 0.4343, 2.0),
-        "restart": (0.0261, 0.003, 0.0613, 0.159, 0.005, 0.001, 0.7345, 0.0001, 0.01),
+        "durations": (499.5, 499.5, 1078, 60.0, 19.5, 2.804, 25.27, 0.4343, 2.0),
+        "restart": (0.0261, 0.003, 0.0613, 0.02, 0.005, 0.001, 0.8735, 0.0001, 0.01),
     },
 }  # fmt: skip
 """Values for each ``manoeuvres``.  Levels are a ladder, so that process noise that is stated a hundred times off either
-way is near one of them; each has a belief of its own, as a single step hardly shows which it is, but for the stated and
-the largest.  Restarts of the calm and the stated level were optimised; the calm level's duration is the largest with
-consistent covariances of turning targets.  The others were chosen by hand: where the models hold, among spikes and
+way is near one of them, and the calm ones and that of 30 have beliefs of their own, as a single step hardly shows which
+it is.  The larger ones share the stated one's: where a manoeuvre begins, they widen it at once.  Restarts of the calm
+and the stated level were optimised; the calm level's duration is the largest with consistent covariances of turning
+targets.  The others were chosen by hand: where the models hold, where process noise is stated wrongly, among spikes and
 heavy tails, and in the scenarios of bearings."""
 
-IN_SPACE: dict[str, dict[str, Any]] = {
-    "none": MANOEUVRES["none"],
-    "jumps": MANOEUVRES["jumps"],
-    "slips": MANOEUVRES["slips"],
+OF_BANKS: dict[str, dict[str, Any]] = MANOEUVRES | {
     "some": {
-        "noise_levels": (0.00612, 1.0, 142.0, 2e4), "separate_levels": (0, 2),
+        "noise_levels": (0.00612, 1.0, 2.05, 142.0, 2e4), "separate_levels": 1,
+        "manoeuvre_factors": (), "jump_factors": (7.56,),
+        "durations": (499.5, 1078, 7.007, 19.5, 2.804, 25.27, 2.0),
+        "restart": (0.0291, 0.0613, 0.159, 0.005, 0.001, 0.7346, 0.01),
+    },
+    "hard": {
+        "noise_levels": (0.00612, 1.0, 2.05, 142.0, 2e4), "separate_levels": 1,
+        "manoeuvre_factors": (100.0,), "jump_factors": (7.56,),
+        "durations": (499.5, 1078, 7.007, 19.5, 2.804, 25.27, 0.4343, 2.0),
+        "restart": (0.0291, 0.0613, 0.159, 0.005, 0.001, 0.7345, 0.0001, 0.01),
+    },
+}  # fmt: skip
+"""The values of several motions, which explain what a ladder of levels would explain as process noise."""
+
+IN_SPACE: dict[str, dict[str, Any]] = MANOEUVRES | {
+    "some": {
+        "noise_levels": (0.00612, 1.0, 142.0, 2e4), "separate_levels": 1,
         "manoeuvre_factors": (), "jump_factors": (7.56,),
         "durations": (499.5, 1078, 19.5, 2.804, 25.27, 2.0),
         "restart": (0.0346, 0.0729, 0.006, 0.0012, 0.8733, 0.012),
     },
     "hard": {
-        "noise_levels": (0.00612, 1.0, 142.0, 2e4), "separate_levels": (0, 2),
+        "noise_levels": (0.00612, 1.0, 142.0, 2e4), "separate_levels": 1,
         "manoeuvre_factors": (100.0,), "jump_factors": (7.56,),
         "durations": (499.5, 1078, 19.5, 2.804, 25.27, 0.4343, 2.0),
         "restart": (0.0346, 0.0729, 0.006, 0.0012, 0.8732, 0.0001, 0.012),
     },
 }  # fmt: skip
-"""The values with climbs: those of ``MANOEUVRES`` without the levels of 0.08 and 10, so that a step takes no longer."""
+"""The values with climbs: those of ``OF_BANKS`` without the lower agile level, so that a step takes no longer."""
 
 OUTLIER_TRANSITION = ((0.98, 0.02), (0.6, 0.4))
 
@@ -115,7 +129,7 @@ def gpb(
             also times in which it is less accurate than stated; ``"some"``; or ``"hard"``, also turns far beyond its
             process noise, at some loss of accuracy with outliers.  None is ``"slips"`` for a motion that measures
             itself, such as ``Odometry``, and ``"some"`` for any other.  It sets the defaults of the six arguments that
-            follow: ``presets.regimes.MANOEUVRES``.
+            follow: ``presets.regimes.MANOEUVRES`` and, of several motions, ``OF_BANKS``.
         noise_levels: factors on the variance of the (first) motion's process noise, ascending: a calm level, the stated
             process noise (1), and agile levels.  Calm and agile levels are for targets that do not move as stated.
         separate_levels: the number of lowest levels that keep beliefs of their own, or the indices of any; the others
@@ -201,7 +215,7 @@ def gpb(
     if climbs and not models.vertical:
         raise ValueError(f"climbs: expected a motion with a height and its rate, received {models.describe()}")
     climbs = bool(models.vertical) and not given if climbs is None else climbs
-    values = (IN_SPACE if climbs else MANOEUVRES)[manoeuvres] | given
+    values = (IN_SPACE if climbs else OF_BANKS if count > 1 else MANOEUVRES)[manoeuvres] | given
     if self_transition is not None and durations is None:
         del values["durations"]
     if separate_levels is None and noise_levels is not None:

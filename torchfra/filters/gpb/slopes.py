@@ -83,7 +83,7 @@ def bend(compare: Callable[[Gaussian], Whitened], belief: Gaussian) -> Tensor:
     """By how much each element ``(..., m)`` is off the line of a belief's points where the update by them arrives.
 
     In units of the noise, per unit of the variance that the line gives the element: half as wide a belief is off by a
-    quarter.  Points on the axes of a belief do not show it where an element depends on a product of two components, as
+    quarter.  It is 0 where even the line leaves more than ``LARGEST_REST`` of the measurement.  Points on the axes of a belief do not show it where an element depends on a product of two components, as
     a bearing does on those along and across.
     """
     seen, d = compare(belief), belief.mean.shape[-1]
@@ -91,8 +91,10 @@ def bend(compare: Callable[[Gaussian], Whitened], belief: Gaussian) -> Tensor:
     (unknown, lower), _, _ = correct(Gaussian(torch.zeros_like(belief.mean), eye.expand_as(belief.scale_tril)), seen)
     mean, root = belief
     there = compare(Gaussian(mean + apply(root, unknown), NEAR * (root @ lower)))
-    off = (there.residual - seen.residual + apply(seen.slope, unknown)).abs()
-    return safe_divide(off, seen.slope.square().sum(-1))
+    left = seen.residual - apply(seen.slope, unknown)
+    reached = (left.abs() <= LARGEST_REST).all(-1, keepdim=True)
+    off = torch.where(reached, (there.residual - left).abs(), 0.0)
+    return safe_divide(off, seen.slope.square().sum(-1)).detach()  # for a choice alone
 
 
 def by_points_or_line(wide: Whitened, bent: Tensor, near: Callable[[], Whitened]) -> Whitened:
