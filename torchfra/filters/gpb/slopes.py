@@ -83,8 +83,9 @@ def bend(compare: Callable[[Gaussian], Whitened], belief: Gaussian) -> Tensor:
     """By how much each element ``(..., m)`` is off the line of a belief's points where the update by them arrives.
 
     In units of the noise, per unit of the variance that the line gives the element: half as wide a belief is off by a
-    quarter.  It is 0 where even the line leaves more than ``LARGEST_REST`` of the measurement.  Points on the axes of a belief do not show it where an element depends on a product of two components, as
-    a bearing does on those along and across.
+    quarter.  It is 0 where even the line leaves more than ``LARGEST_REST`` of the measurement.  Points on the axes of a
+    belief do not show it where an element depends on a product of two components, as a bearing does on those along and
+    across.
     """
     seen, d = compare(belief), belief.mean.shape[-1]
     eye = torch.eye(d, dtype=belief.mean.dtype, device=belief.mean.device)
