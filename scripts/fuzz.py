@@ -17,7 +17,7 @@ import struct
 import sys
 import tempfile
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
@@ -32,7 +32,7 @@ try:
 
     watched = atheris.instrument_imports(include=["torchfra"])
 except ImportError:  # the targets can be called without it
-    watched = nullcontext()
+    atheris, watched = None, nullcontext()
 
 with watched:
     from torchfra import presets, readers, state_files
@@ -49,12 +49,17 @@ MOST = 2**20
 NAME, KERNEL = "kernel.o", bytes(range(200))
 
 
+def written(folder: Path, data: bytes, ends: Sequence[str]) -> Path:
+    """The file, whose first byte chooses the end of its name."""
+    path = folder / f"a{ends[data[0] % len(ends)]}"
+    path.write_bytes(data[1:])
+    return path
+
+
 def tracks(folder: Path, data: bytes) -> None:
     """A file of tracks is read or refused."""
-    path = folder / f"a{ENDS[data[0] % len(ENDS)]}"
-    path.write_bytes(data[1:])
     try:
-        recordings = readers.read(path, max_bytes=MOST)
+        recordings = readers.read(written(folder, data, ENDS), max_bytes=MOST)
     except ValueError:
         return
     for one in recordings:
@@ -65,10 +70,8 @@ def tracks(folder: Path, data: bytes) -> None:
 
 def ranges(folder: Path, data: bytes) -> None:
     """A file of ranges is read or refused."""
-    path = folder / f"a{ENDS[data[0] % 2]}"
-    path.write_bytes(data[1:])
     try:
-        recording = readers.read_ranges(path, max_bytes=MOST)
+        recording = readers.read_ranges(written(folder, data, ENDS[:2]), max_bytes=MOST)
     except ValueError:
         return
     for time, distance in zip(recording.times, recording.ranges, strict=True):
@@ -146,6 +149,8 @@ def main() -> None:
     parser.add_argument("--seconds", type=int, default=600, help="(default: %(default)s)")
     parser.add_argument("--again", metavar="FILE", help="only this one")
     options = parser.parse_args()
+    if atheris is None:
+        parser.error("needs Atheris: pip install atheris")
     warnings.simplefilter("ignore")
     torch.set_num_threads(1)
     options.corpus.mkdir(parents=True, exist_ok=True)

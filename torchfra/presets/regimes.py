@@ -17,6 +17,14 @@ from torchfra.sensors.base import Sensor
 from torchfra.steps.models import check_models, of_a_module
 from torchfra.suggestions import meant
 
+
+def _and_hard(some: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Values for ``"some"`` manoeuvres, and for ``"hard"`` ones: a regime more, behind any other motion."""
+    (*last, jump), (*begins, others, jumps) = some["durations"], some["restart"]
+    hard = {"durations": (*last, 0.4343, jump), "restart": (*begins, others - 0.0001, 0.0001, jumps)}
+    return {"some": some, "hard": some | hard | {"manoeuvre_factors": (100.0,)}}
+
+
 MANOEUVRES: dict[str, dict[str, Any]] = {
     "none": {
         "noise_levels": (1.0,), "separate_levels": 0, "manoeuvre_factors": (), "jump_factors": (),
@@ -30,18 +38,12 @@ MANOEUVRES: dict[str, dict[str, Any]] = {
         "noise_levels": (1.0, 142.0), "separate_levels": 1, "manoeuvre_factors": (), "jump_factors": (7.56,),
         "durations": (1078, 19.5, 25.27, 2.0), "restart": (0.076, 0.006, 0.908, 0.01),
     },
-    "some": {
+    **_and_hard({
         "noise_levels": (0.00612, 0.08, 1.0, 30.0, 142.0, 2e4), "separate_levels": (0, 1, 3),
         "manoeuvre_factors": (), "jump_factors": (7.56,),
         "durations": (499.5, 499.5, 1078, 60.0, 19.5, 2.804, 25.27, 2.0),
         "restart": (0.0261, 0.003, 0.0613, 0.02, 0.005, 0.001, 0.8736, 0.01),
-    },
-    "hard": {
-        "noise_levels": (0.00612, 0.08, 1.0, 30.0, 142.0, 2e4), "separate_levels": (0, 1, 3),
-        "manoeuvre_factors": (100.0,), "jump_factors": (7.56,),
-        "durations": (499.5, 499.5, 1078, 60.0, 19.5, 2.804, 25.27, 0.4343, 2.0),
-        "restart": (0.0261, 0.003, 0.0613, 0.02, 0.005, 0.001, 0.8735, 0.0001, 0.01),
-    },
+    }),
 }  # fmt: skip
 """Values for each ``manoeuvres``.  Levels are a ladder, so that process noise that is stated a hundred times off either
 way is near one of them, and the calm ones and that of 30 have beliefs of their own, as a single step hardly shows which
@@ -50,36 +52,20 @@ and the stated level were optimised; the calm level's duration is the largest wi
 targets.  The others were chosen by hand: where the models hold, where process noise is stated wrongly, among spikes and
 heavy tails, and in the scenarios of bearings."""
 
-OF_BANKS: dict[str, dict[str, Any]] = MANOEUVRES | {
-    "some": {
-        "noise_levels": (0.00612, 1.0, 2.05, 142.0, 2e4), "separate_levels": 1,
-        "manoeuvre_factors": (), "jump_factors": (7.56,),
-        "durations": (499.5, 1078, 7.007, 19.5, 2.804, 25.27, 2.0),
-        "restart": (0.0291, 0.0613, 0.159, 0.005, 0.001, 0.7346, 0.01),
-    },
-    "hard": {
-        "noise_levels": (0.00612, 1.0, 2.05, 142.0, 2e4), "separate_levels": 1,
-        "manoeuvre_factors": (100.0,), "jump_factors": (7.56,),
-        "durations": (499.5, 1078, 7.007, 19.5, 2.804, 25.27, 0.4343, 2.0),
-        "restart": (0.0291, 0.0613, 0.159, 0.005, 0.001, 0.7345, 0.0001, 0.01),
-    },
-}  # fmt: skip
+OF_BANKS: dict[str, dict[str, Any]] = MANOEUVRES | _and_hard({
+    "noise_levels": (0.00612, 1.0, 2.05, 142.0, 2e4), "separate_levels": 1,
+    "manoeuvre_factors": (), "jump_factors": (7.56,),
+    "durations": (499.5, 1078, 7.007, 19.5, 2.804, 25.27, 2.0),
+    "restart": (0.0291, 0.0613, 0.159, 0.005, 0.001, 0.7346, 0.01),
+})  # fmt: skip
 """The values of several motions, which explain what a ladder of levels would explain as process noise."""
 
-IN_SPACE: dict[str, dict[str, Any]] = MANOEUVRES | {
-    "some": {
-        "noise_levels": (0.00612, 1.0, 142.0, 2e4), "separate_levels": 1,
-        "manoeuvre_factors": (), "jump_factors": (7.56,),
-        "durations": (499.5, 1078, 19.5, 2.804, 25.27, 2.0),
-        "restart": (0.0346, 0.0729, 0.006, 0.0012, 0.8733, 0.012),
-    },
-    "hard": {
-        "noise_levels": (0.00612, 1.0, 142.0, 2e4), "separate_levels": 1,
-        "manoeuvre_factors": (100.0,), "jump_factors": (7.56,),
-        "durations": (499.5, 1078, 19.5, 2.804, 25.27, 0.4343, 2.0),
-        "restart": (0.0346, 0.0729, 0.006, 0.0012, 0.8732, 0.0001, 0.012),
-    },
-}  # fmt: skip
+IN_SPACE: dict[str, dict[str, Any]] = MANOEUVRES | _and_hard({
+    "noise_levels": (0.00612, 1.0, 142.0, 2e4), "separate_levels": 1,
+    "manoeuvre_factors": (), "jump_factors": (7.56,),
+    "durations": (499.5, 1078, 19.5, 2.804, 25.27, 2.0),
+    "restart": (0.0346, 0.0729, 0.006, 0.0012, 0.8733, 0.012),
+})  # fmt: skip
 """The values with climbs: those of ``OF_BANKS`` without the lower agile level, so that a step takes no longer."""
 
 OUTLIER_TRANSITION = ((0.98, 0.02), (0.6, 0.4))
@@ -130,7 +116,7 @@ def gpb(
             process noise, at some loss of accuracy with outliers.  None is ``"slips"`` for a motion that measures
             itself, such as ``Odometry``, and ``"some"`` for any other.  It sets the defaults of the six arguments that
             follow: ``presets.regimes.MANOEUVRES`` and, of several motions, ``OF_BANKS``.
-        noise_levels: factors on the variance of the (first) motion's process noise, ascending: a calm level, the stated
+        noise_levels: factors on the variance of the (first) motion's process noise, ascending: calm levels, the stated
             process noise (1), and agile levels.  Calm and agile levels are for targets that do not move as stated.
         separate_levels: the number of lowest levels that keep beliefs of their own, or the indices of any; the others
             share one.  None is the value of ``manoeuvres``; where ``noise_levels`` are given it is the lowest of
