@@ -17,6 +17,7 @@ from gpb_loops import (
     STEPS,
     TWO,
     VALUES,
+    Case,
     bank,
     bearings,
     carried,
@@ -179,6 +180,20 @@ def test_a_jump_that_lasts(separate):
     f = presets.gpb(motion, case.sensor, **options | {"burst": 1.5})
     found = expected(case, [carried(motion, 1.0)] * 2, r._replace(burst=1.5))
     same(f(tensor(case.z), PRIOR), found)
+    assert found["regimes"][6:, -3:].sum(1).max() > 0.5  # it has jumped
+
+
+def test_a_jump_aslant_of_bearings_from_afar():
+    """Points on the axes of a belief see no bend there: only where the update by them arrives it shows."""
+    places, noise, motion = np.array([[-1e4, 0.0], [0.0, -1e4]]), 1e-4 * np.eye(2), ConstantAcceleration(0.05)
+    sensor = Bearings(tensor([1e-4, 1e-4]), stations=tensor(places))
+    case = Case(sensor, lambda x, k: oracles.bearings(x, places), noise, angles=True)
+    target = path() + 350.0 * (np.arange(STEPS) >= 6)[:, None]
+    case.z = np.array([case.model.h(x, 0) for x in target])
+    case.z += 1e-4 * np.random.default_rng(2).standard_normal(case.z.shape)
+    options, r = regimes((0.9, 0.8, 0.7, 0.6), (0.5, 0.3, 0.15, 0.05), (0.1, 1.0), (5.0,))
+    found = expected(case, [carried(motion, 1.0)], r)
+    same(presets.gpb(motion, sensor, **options)(tensor(case.z), PRIOR), found, 1e-8)
     assert found["regimes"][6:, -3:].sum(1).max() > 0.5  # it has jumped
 
 
