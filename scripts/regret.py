@@ -251,7 +251,7 @@ def smoothed_filters(cell: str, scenario: Scenario, names: list[str] | None) -> 
     check_names(cell, names, known)
     filters = scenario_filters(names, scenario)
     for f in filters.values():
-        f.check_smooths()
+        f.limits.check_smooths()
     return filters
 
 

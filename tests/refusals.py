@@ -68,7 +68,7 @@ def time_steps_must_be_seconds_above_zero(case: Case) -> None:
 
     Zero is allowed for filters with ``zero_dt``: a second measurement at the same instant.
     """
-    numbers = (-1.0, math.nan, math.inf) if case.filter.zero_dt else (0.0, -1.0, math.nan, math.inf)
+    numbers = (-1.0, math.nan, math.inf) if case.filter.limits.zero_dt else (0.0, -1.0, math.nan, math.inf)
     for dt in (*numbers, 1j, None, "1"):
         _refuse(case, "dt", dt=dt)
         _refuse_step(case, "dt", dt=dt)

@@ -182,7 +182,7 @@ def drawn(pair, f, number, *, batch, steps, missing, still, round_numbers, outli
     if round_numbers:  # as people write them: points lie on axes and behind stations
         prior = Gaussian(mean.expand(batch, -1).clone(), torch.diag_embed(std.expand(batch, -1)))
     dt = chance(batch, steps) + 0.1
-    if still and f.zero_dt:
+    if still and f.limits.zero_dt:
         dt = torch.where(chance(batch, steps) < 0.3, 0.0, dt)
     dt = TIMES[time](dt)
     each = torch.as_tensor(dt, dtype=torch.float64).expand(batch, steps)

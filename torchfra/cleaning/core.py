@@ -364,7 +364,7 @@ def _by_filter(
 def _smooths(f: Filter, wanted: bool) -> tuple[bool, tuple[str, ...]]:
     """Whether a filter is smoothed, and a note if it cannot be."""
     try:
-        f.check_smooths()
+        f.limits.check_smooths()
     except NotImplementedError as error:
         return False, (f"not smoothed: {error}",) if wanted else ()
     return wanted, ()

@@ -229,10 +229,10 @@ class Compiled(Engine):
             check_step(f, state, measurements)
         now, belief = self._now(f, sensor), getattr(state, "belief", None)
         like = belief.mean if isinstance(belief, Gaussian) else z  # the state says the precision
-        data = (z, dt if isinstance(dt, Tensor) else _seconds(dt, like.dtype, f.zero_dt), u, std, noise)
+        data = (z, dt if isinstance(dt, Tensor) else _seconds(dt, like.dtype, f.limits.zero_dt), u, std, noise)
         checked = not isinstance(dt, Tensor) and std is None and noise is None
         kind = _complete(f, measurements), apart
-        done = now.ready[kind](state, data, now.read(), None if checked else f.zero_dt)
+        done = now.ready[kind](state, data, now.read(), None if checked else f.limits.zero_dt)
         return self._prepare(f, now, state, measurements, data, kind) if done is None else done
 
     @staticmethod
@@ -252,7 +252,7 @@ class Compiled(Engine):
                     now.steps.clear()
                 task = now.steps[form] = now.task(advance, state, data, (False,) * 5)
         else:
-            check_changing(data, f.zero_dt)
+            check_changing(data, f.limits.zero_dt)
         now.get_ready(task, state, data, kind)
         return now.run(task, 1, state, data)
 

@@ -102,7 +102,7 @@ def export(
     }
     begin, prior = _begin(f, dtype)
     words = {
-        "INSTANT": "0 or more" if f.zero_dt else "above 0", "MEAN": str(prior[0].shape.numel()),
+        "INSTANT": "0 or more" if f.limits.zero_dt else "above 0", "MEAN": str(prior[0].shape.numel()),
         "ROOT": str(prior[1].shape.numel()), "NAME": name, "SCALAR": SCALARS[dtype],
     }  # fmt: skip
     source = f'#include "{name}.hpp"\n\n' + _source(begin, step.forwards(), prior, structs, words)

@@ -229,7 +229,7 @@ class AllReadyTracks:
         for tracks in known:
             if tracks.fit(*tensors):
                 if not (is_ordinary(dt, z.dtype) and rest[1] is rest[2] is None):
-                    check_values(measurements, f.zero_dt)
+                    check_values(measurements, f.limits.zero_dt)
                 return tracks(f.begin, tensors)
         return None
 

@@ -70,10 +70,6 @@ class Filter(Recursion[S]):
 
     engine: Engine
     """The engine that runs its steps: see ``compile``."""
-    not_smoothed: str | None = None
-    """Why it cannot be smoothed; None where it can."""
-    smooths_one_sensor: str | None = None
-    """Why it cannot be smoothed over several sensors; None where it can."""
 
     def __init__(
         self, motion: Motion | None = None, sensor: Sensor | None = None, rule: Callable[[int], Rule] = third_degree
@@ -92,16 +88,6 @@ class Filter(Recursion[S]):
         """The prediction of state and measurement, by the frame of a step without a measurement; as in ``advance``."""
         _, record = self.advance(state, frame, *mix)
         return forecast_by(self, self.finish(state, record.belief, None)[0], frame)
-
-    def check_smooths(self, *, several: bool = False) -> None:
-        """Checks that the filter can be smoothed, if ``several`` over several sensors.
-
-        Raises:
-            NotImplementedError: it cannot, with the reason.
-        """
-        reason = self.not_smoothed or (self.smooths_one_sensor if several else None)
-        if reason is not None:
-            raise NotImplementedError(reason)
 
     # ------------------------------------------------------------ to use a filter
 
@@ -200,7 +186,7 @@ class Filter(Recursion[S]):
         measurements = measurements_of(z, dt, u, std, noise)
         if not past:
             return whole.estimate(measurements, belief_of(prior))
-        self.check_smooths(several=turns is not None)
+        self.limits.check_smooths(several=turns is not None)
         return whole.with_past(measurements, belief_of(prior))
 
     if TYPE_CHECKING:  # torch types a call as one that may return anything
@@ -250,7 +236,7 @@ class Filter(Recursion[S]):
                 as its backward pass has outliers of one sensor; ``JPDA`` around several models.
         """
         turns = None if sensors is None and which is None else SensorsInTurn(self, self.engine, sensors, which)
-        self.check_smooths(several=turns is not None)
+        self.limits.check_smooths(several=turns is not None)
         check_lengths(lag=lag, truncate=truncate, checkpoint=checkpoint)
         whole = WholeTracks(self, self.engine, turns, Options(checkpoint, truncate))
         return whole.smoothed(measurements_of(z, dt, u, std, noise), belief_of(prior), lag, estimate)

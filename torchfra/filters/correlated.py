@@ -71,8 +71,7 @@ class WithCorrelatedErrors(Around[WithCorrelatedErrorsState]):
 
     def __init__(self, inner: Filter, sensor: Sensor) -> None:
         super().__init__(inner, sensor)
-        self.zero_dt = inner.zero_dt
-        self.not_smoothed, self.smooths_one_sensor = inner.not_smoothed, inner.smooths_one_sensor
+        self.limits = inner.limits
 
     # ------------------------------------------------------------ the models
 

@@ -71,7 +71,7 @@ class FixedLag(Part):
         if not isinstance(filter, Filter):
             raise ValueError(f"filter: expected one of torchfra.filters, received {type(filter).__name__}")
         check_lengths(lag=lag)
-        filter.check_smooths()
+        filter.limits.check_smooths()
         self.filter, self.lag = filter, lag
 
     def init(self, prior: Gaussian) -> FixedLagState:
@@ -97,7 +97,7 @@ class FixedLag(Part):
             and the innovation.
         """
         f, other = self.filter, self.filter.other_sensor(sensor)
-        f.check_smooths(several=other is not None)
+        f.limits.check_smooths(several=other is not None)
         inner, record, step = step_kept(f, state.inner, measurements_of(z, dt, u, std, noise, other))
         window = (*state.window, step)[-self.lag - 1 :]
         smoothed, rank = smooth_window(f, inner, window), inner.belief.mean.dim() - 1

@@ -59,7 +59,7 @@ class SensorsInTurn:
     def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
         """Checks the arguments for each sensor; their batch."""
         sizes = self.sizes
-        check(measurements, prior, self.filter.motion, max(sizes), name=name, zero_dt=self.filter.zero_dt)
+        check(measurements, prior, self.filter.motion, max(sizes), name=name, zero_dt=self.filter.limits.zero_dt)
         steps = measurements.z.shape[-2]
         if steps != len(self.which):
             received = f"{len(self.which)} of them"

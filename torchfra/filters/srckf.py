@@ -22,7 +22,7 @@ from torchfra.robust.base import Corrected, Robust
 from torchfra.sensors.base import Sensor
 from torchfra.steps.checks import check_parts, check_weights
 from torchfra.steps.records import Past, Record
-from torchfra.steps.recursion import Mix
+from torchfra.steps.recursion import Limits, Mix
 from torchfra.types import Gaussian, Prediction, Whitened
 
 
@@ -110,7 +110,7 @@ class SRCKF(Filter[State]):
             count = len(noise.block_of)
             raise ValueError(f"blocks: expected those of a sensor of {sensor.size} elements, received {count}")
         if noise is not None:
-            self.one_sensor = "the estimate of the measurement noise is of the elements of one sensor"
+            self.limits = Limits(other_sensors="the estimate of the measurement noise is of the elements of one sensor")
 
     def begin(self, belief: Gaussian) -> State:
         """The state of a belief, with empty memories."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import wraps
-from typing import Any, Generic, ParamSpec, Protocol
+from typing import Any, Generic, NamedTuple, ParamSpec, Protocol
 
 import torch
 from torch import Tensor
@@ -43,6 +43,28 @@ from torchfra.types import Gaussian, Prediction, Whitened
 
 Mix = Callable[[Gaussian], Gaussian]
 """Mixes the beliefs of interacting models before a step."""
+
+
+class Limits(NamedTuple):
+    """What a filter does not do: the reason; None for what it does."""
+
+    smoothing: str | None = None
+    smoothing_several: str | None = None
+    """Over several sensors."""
+    other_sensors: str | None = None
+    """Than its own."""
+    zero_dt: bool = True
+    """Whether ``dt`` may be 0, as before a second measurement at the same instant."""
+
+    def check_smooths(self, *, several: bool = False) -> None:
+        """Checks that the filter can be smoothed, if ``several`` over several sensors.
+
+        Raises:
+            NotImplementedError: it cannot, with the reason.
+        """
+        reason = self.smoothing or (self.smoothing_several if several else None)
+        if reason is not None:
+            raise NotImplementedError(reason)
 
 
 class HasBelief(Protocol):
@@ -86,10 +108,7 @@ class Recursion(Part, Generic[S]):
 
     scans = False
     """Whether a measurement is a scan ``(..., T, J, m)``, and beliefs are those of targets ``(..., N, n)``."""
-    zero_dt = True
-    """Whether ``dt`` may be 0, as before a second measurement at the same instant."""
-    one_sensor: str | None = None
-    """Why the filter takes no other sensor than its own; None where it does."""
+    limits = Limits()
     motion: Motion
     sensor: Sensor
     fading: Fading | None
@@ -200,8 +219,8 @@ class Recursion(Part, Generic[S]):
         if sensor is None or sensor is self.sensor:
             return None
         check_models(self.motion, sensor)
-        if self.one_sensor is not None:
-            raise ValueError(f"sensor: expected None, as {self.one_sensor}, received {sensor.describe()}")
+        if self.limits.other_sensors is not None:
+            raise ValueError(f"sensor: expected None, as {self.limits.other_sensors}, received {sensor.describe()}")
         return sensor
 
     @in_full_precision
@@ -224,7 +243,8 @@ class Recursion(Part, Generic[S]):
     def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
         """Checks arguments; their batch with that of the hyperparameters.  Messages call the prior ``name``."""
         sensor = measurements.sensor or self.sensor
-        batch = check(measurements, prior, self.motion, sensor.size, scans=self.scans, name=name, zero_dt=self.zero_dt)
+        zero_dt = self.limits.zero_dt
+        batch = check(measurements, prior, self.motion, sensor.size, scans=self.scans, name=name, zero_dt=zero_dt)
         if self.scans:  # targets, whose values may differ, are no part of the batch
             batch = torch.Size((1,) * (batch_rank(self) - 1 - len(batch))) + batch
         else:

@@ -293,7 +293,7 @@ class Tracker:
             NotImplementedError: see ``Filter.smooth``; of ``gpb`` with another sensor than its own too.
         """
         f, others = self.filter, self._intake.others
-        f.check_smooths(several=any(sensor is not None for sensor in others))
+        f.limits.check_smooths(several=any(sensor is not None for sensor in others))
         time, state, moments = self._window.time, self._window.state.state, []
         for entry in self._window.entries:
             state, _, moment = step_kept(f, state, entry.after(time, others[entry.sensor]))

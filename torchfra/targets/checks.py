@@ -120,7 +120,7 @@ def check_scan(
         z, (std, noise) = z.unsqueeze(0), (None if x is None else x.unsqueeze(0) for x in (std, noise))
     if len(z) != scenes:
         raise ValueError(f"z: expected {scenes} scenes as the state has, received {len(z)}")
-    seconds = _seconds(dt, (scenes,), zero_dt=filter.inner.zero_dt, lag=lag).to(like)
+    seconds = _seconds(dt, (scenes,), zero_dt=filter.inner.limits.zero_dt, lag=lag).to(like)
     if bool((seconds < 0).any()) and not state.past:
         raise ValueError(f"dt: expected 0 or more before any scan has come, received {seconds.tolist()}")
     own = (x if x is None else x.to(like) for x in (std, noise))

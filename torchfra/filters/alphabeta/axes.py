@@ -22,7 +22,7 @@ from torchfra.motion.polynomial import ConstantAcceleration, ConstantVelocity
 from torchfra.sensors.base import Sensor
 from torchfra.sensors.position import Position
 from torchfra.steps.records import Record
-from torchfra.steps.recursion import S
+from torchfra.steps.recursion import Limits, S
 from torchfra.types import Gaussian
 
 T = TypeVar("T")  # an info
@@ -43,8 +43,6 @@ def moves_along_axes(motion: Motion, dims: int) -> bool:
 class ConstantGainFilter(Filter[S]):
     """Abstract: a filter of positions, axis by axis."""
 
-    zero_dt = False
-    one_sensor = "constant gains are chosen for one sensor's noise"
     gamma: Hyper | None
 
     def __init__(self, motion: Motion, sensor: Sensor, period: Value | None) -> None:
@@ -55,9 +53,11 @@ class ConstantGainFilter(Filter[S]):
                 f"motion: expected constant velocity or acceleration in {sensor.size} dimensions, received {motion}"
             )
         super().__init__(motion, sensor)
-        self.not_smoothed = (
-            f"{type(self).__name__}: constant gains have no process noise, which the backward pass needs; smooth with "
-            "presets.srckf, or a bank of motions"
+        self.limits = Limits(
+            smoothing=f"{type(self).__name__}: constant gains have no process noise, which the backward pass needs; "
+            "smooth with presets.srckf, or a bank of motions",
+            other_sensors="constant gains are chosen for one sensor's noise",
+            zero_dt=False,
         )
         self.period = None if period is None else Hyper(period, name="period")
 

@@ -57,6 +57,7 @@ from torchfra.motion.base import Motion
 from torchfra.sensors.base import Sensor
 from torchfra.steps.checks import check_weights
 from torchfra.steps.records import Record, Smoothed
+from torchfra.steps.recursion import Limits
 from torchfra.types import Alarm, Gaussian, Whitened
 
 PRIOR_MARGIN = 4.0
@@ -134,8 +135,8 @@ class GPB(Filter[GPBState]):
     Kirubarajan (2001), section 11.6, for GPB2 and IMM; Daeipour & Bar-Shalom (1995) for modes of the noise.
     """
 
-    smooths_one_sensor = (
-        "GPB: hypotheses of outliers are of one sensor in the backward pass; smooth several as one, "
+    limits = Limits(
+        smoothing_several="GPB: hypotheses of outliers are of one sensor in the backward pass; smooth several as one, "
         "sensors.Stacked(first, second), with NaN for what was not measured"
     )
 

@@ -41,7 +41,7 @@ from torchfra.linalg.tracing import is_traced
 from torchfra.numbers import as_number
 from torchfra.sensors.base import Sensor
 from torchfra.steps.records import Past, Record, Smoothed
-from torchfra.steps.recursion import HasBelief
+from torchfra.steps.recursion import HasBelief, Limits
 from torchfra.types import Gaussian, Whitened
 
 Associate = Callable[[Scan, Tensor], Association]
@@ -102,7 +102,7 @@ class JPDA(Soft, Around[JPDAState]):
     """
 
     scans = True
-    one_sensor = "gate and clutter are of the elements of one sensor"
+    limits = Limits(other_sensors="gate and clutter are of the elements of one sensor")
     scanner: Sensor | None
     """The sensor, if it is another than that of the inner filter, as one of ``targets.Targets`` may be."""
 
@@ -131,9 +131,9 @@ class JPDA(Soft, Around[JPDAState]):
         self.gate, self.clutter = gate, clutter
         if not isinstance(inner, SRCKF):
             name = type(inner).__name__
-            self.not_smoothed = (
-                f"JPDA around {name}: the backward pass of {name} weighs its models by measurements that are known to "
-                "be the target's; smooth a JPDA around an SRCKF"
+            self.limits = self.limits._replace(
+                smoothing=f"JPDA around {name}: the backward pass of {name} weighs its models by measurements that are "
+                "known to be the target's; smooth a JPDA around an SRCKF"
             )
         self.scanner = None
         self.detection = Hyper(detection, constraints.interval(0.0, 1.0), name="detection")
