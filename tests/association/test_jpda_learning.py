@@ -7,40 +7,8 @@ import torch
 from joint import PAPER, flat_prior, make, plane
 
 from torchfra import losses
-from torchfra.association import ChiSquare, Clutter, Euclidean
+from torchfra.association import Clutter
 from torchfra.motion import ConstantVelocity
-from torchfra.types import Gaussian
-
-
-@pytest.mark.slow
-def test_gradients_through_the_association_are_those_of_finite_differences(crossing, scans):
-    """Detection, gate (soft), forgetting, confidences: innovation likelihood and estimates."""
-    f = make("iaukf_jpda", crossing, gate=Euclidean(60.0), temperature=0.2, lost=0.0,
-             learn=("detection", "gate.size", "forgetting", "confidence", "volume"))  # fmt: skip
-    names = [name for name, _ in f.named_parameters()]
-    prior = Gaussian(scans.prior.mean[:1], scans.prior.scale_tril[:1])
-
-    def run(*values):
-        estimate = torch.func.functional_call(f, dict(zip(names, values, strict=True)), (scans.z[:1, :14], prior))
-        return losses.innovation_nll(estimate), estimate.mean[..., 3:].sum()
-
-    values = [p.detach().clone().requires_grad_() for p in f.parameters()]
-    assert len(values) == 5
-    assert torch.autograd.gradcheck(run, values, atol=1e-6)
-    grads = torch.autograd.grad(run(*values)[0].sum(), values)
-    assert all(g.abs().max() > 0 for g in grads)
-
-
-def test_gradients_reach_a_soft_gate_of_probability(crossing, scans):
-    f = make("iaukf_jpda", crossing, gate=ChiSquare(0.9), temperature=0.1, learn=("probability",))
-    (p,) = f.parameters()
-    prior = Gaussian(scans.prior.mean[:1], scans.prior.scale_tril[:1])
-
-    def run(value):
-        name = next(iter(dict(f.named_parameters())))
-        return torch.func.functional_call(f, {name: value}, (scans.z[:1, :10], prior)).log_likelihood.sum()
-
-    assert torch.autograd.gradcheck(run, (p.detach().clone().requires_grad_(),), atol=1e-6)
 
 
 def test_a_cold_gate_is_a_hard_one(crossing, scans):

@@ -11,7 +11,7 @@ from gpb_loops import of_oracle
 from oracles import gpb as regimes
 from oracles import joint_models
 
-from torchfra import losses, presets
+from torchfra import presets
 from torchfra.angles import wrap
 from torchfra.association import ChiSquare, Clutter, Euclidean
 from torchfra.filters import IMM, JPDA, SRCKF
@@ -173,23 +173,6 @@ def test_scans_without_a_measurement_in_a_gate_are_pure_predictions(name):
     torch.testing.assert_close(empty.mean, plain.mean)
 
 
-@pytest.mark.slow
-@two
-def test_streaming_is_the_whole_and_a_batch_is_its_scenes(name):
-    f, z, prior = around(name, lost=1e-2), crowd(batch=(3,)), start(name)
-    prior = Gaussian(prior.mean.expand(3, -1, -1), prior.scale_tril.expand(3, -1, -1, -1))
-    whole, alone = f(z, prior), f(z[1], start(name))
-    torch.testing.assert_close(whole.mean[1], alone.mean, rtol=1e-10, atol=1e-10)
-    mapped = torch.func.vmap(lambda z, mean, root: f(z, Gaussian(mean, root)).mean)(z, *prior)
-    torch.testing.assert_close(mapped, whole.mean, rtol=1e-9, atol=1e-9)
-    state = f.init(start(name))
-    for k in range(STEPS):
-        state, innovation = f.step(state, z[1, k])
-    filtered = getattr(alone.info.inner, "filtered", alone)
-    torch.testing.assert_close(state.belief.mean, filtered.mean[:, -1], rtol=1e-10, atol=1e-10)
-    torch.testing.assert_close(innovation.log_likelihood, alone.log_likelihood[:, -1])
-
-
 @two
 def test_a_target_that_fails_lets_the_others_go_on(name):
     f, z, prior = around(name), crowd(), start(name)
@@ -211,21 +194,6 @@ def test_a_filter_runs_on_the_measurements_in_gates_alone(monkeypatch):
     f, state = around("imm"), around("imm").init(start("imm"))
     f.step(state, z)
     assert [shape[:-1].numel() for shape in ran] == [1, 4]  # missed; two targets of two measurements at most
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "learn"), [
-    ("imm", ("self_transition", "detection", "q")), ("gpb", ("durations", "detection", "probability")),
-])  # fmt: skip
-def test_gradients_are_those_of_finite_differences(name, learn):
-    f = around(name, learn=learn, temperature=0.1)
-    z, names = crowd(2), [parameter for parameter, _ in f.named_parameters()]
-
-    def run(*values):
-        estimate = torch.func.functional_call(f, dict(zip(names, values, strict=True)), (z, start(name)))
-        return losses.innovation_nll(estimate), estimate.mean.sum(), estimate.scale_tril.sum()
-
-    assert torch.autograd.gradcheck(run, [p.detach().clone().requires_grad_() for p in f.parameters()], atol=1e-5)
 
 
 def test_values_may_differ_between_targets():

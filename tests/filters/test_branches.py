@@ -1,11 +1,8 @@
 """The plain branch of FRA and the odds of the branches: what they do, and that they keep every promise of a filter."""
 
-import copy
-
 import pytest
 import torch
-from alike import close
-from conftest import STEPS, without_acceleration
+from conftest import without_acceleration
 
 from torchfra import metrics, presets, scenarios
 from torchfra.hyper import hypers
@@ -148,41 +145,11 @@ def test_odds_that_are_no_number_are_refused(make):
 # ---------------------------------------------------------------- promises
 
 
-@pytest.mark.parametrize("how", HOW, ids=str)
-@pytest.mark.parametrize("provisional", ["plain", "likeliest"])
-def test_streaming_gives_what_whole_sequences_give(make, tracks, provisional, how):
-    f = make("fra", **THREE | {"provisional": provisional}, **how)
-    e, state = estimate(f, tracks), f.init(tracks.prior)
-    for k in range(STEPS):
-        state, _ = f.step(state, tracks.z[:, k], u=tracks.u[k])
-        torch.testing.assert_close(state.belief.mean, e.info.provisional.mean[:, k], rtol=1e-9, atol=1e-9)
-        if k:
-            torch.testing.assert_close(state.lagged.mean, e.mean[:, k - 1], rtol=1e-9, atol=1e-9)
-
-
-@pytest.mark.slow
-def test_compiled_kernels_give_the_same_and_read_the_odds_when_they_run(make, poor):
-    f = make("fra", **THREE, temperature=1.0)
-    fast = copy.deepcopy(f).compile()
-    for plain in (1.0, -2.0):
-        f.plain.set(plain)
-        fast.plain.set(plain)
-        close(estimate(f, poor), estimate(fast, poor))
-
-
-@pytest.mark.slow
-def test_gradients_of_all_odds_are_the_same_compiled_and_are_zero_of_a_hard_decision(make, tracks):
-    found = []
-    for compiled in (False, True):
-        f = make("fra", learn=("plain", "preference", "gate"), temperature=1.0, **THREE)
-        e = estimate(f.compile() if compiled else f, tracks)
-        (e.mean.square().mean() + e.info.provisional.mean.square().mean()).backward()
-        found.append(torch.stack([p.grad for p in f.parameters()]))
-        assert (found[-1] != 0).all()
-    torch.testing.assert_close(*found, rtol=1e-9, atol=0)
-    hard = make("fra", learn=("plain", "preference", "gate"), **THREE)
-    estimate(hard, tracks).mean.square().mean().backward()
-    assert all((p.grad == 0).all() for p in hard.parameters())
+def test_odds_have_gradients_but_of_a_hard_decision(make, tracks):
+    for temperature in (0.0, 1.0):
+        f = make("fra", learn=("plain", "preference", "gate"), temperature=temperature, **THREE)
+        estimate(f, tracks).mean.square().mean().backward()
+        assert all((p.grad != 0) == (temperature > 0) for p in f.parameters())
 
 
 @pytest.mark.parametrize("how", HOW, ids=str)

@@ -123,22 +123,6 @@ def test_a_stay_for_each_track():
 # ---------------------------------------------------------------- gradients and kernels
 
 
-@pytest.mark.slow
-def test_its_gradient_is_exact():
-    f = presets.imm(bank()[:3], SENSOR, learn=("self_transition", "initial"))
-    z, dt = measured(2)[:, 3:8], times()[3:8]
-    names = [name for name, _ in f.named_parameters()]
-
-    def score(mean, root, *values):
-        e = torch.func.functional_call(
-            f, dict(zip(names, values, strict=True)), (z, Gaussian(mean, root.tril())), {"dt": dt}
-        )
-        return e.log_likelihood, e.mean, e.info.probabilities
-
-    start = (*PRIOR, *f.parameters())
-    assert torch.autograd.gradcheck(score, [x.detach().clone().requires_grad_() for x in start], fast_mode=True)
-
-
 # ---------------------------------------------------------------- which one a filter has
 
 

@@ -237,21 +237,6 @@ def test_process_noise_that_is_stated_too_small_or_too_large_is_noticed_however_
     assert found < 1.15 * best
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("make", [
-    partial(presets.gpb, BANK[:2], SENSOR, manoeuvres="none", durations=(60.0, 9.0), **WRONG),
-    partial(presets.imm, BANK, SENSOR, durations=LAST),
-], ids=["gpb", "imm"])  # fmt: skip
-def test_durations_learn_and_compile(make):
-    (z, dt), f = measured(), make(learn=("durations",))
-    eager = f(z, PRIOR, dt=dt)
-    (slope,) = torch.autograd.grad(eager.log_likelihood.sum(), [p for p in f.parameters() if p.requires_grad])
-    assert (slope != 0).all()
-    assert slope.isfinite().all()
-    f.compile()
-    torch.testing.assert_close(f(z, PRIOR, dt=dt).mean, eager.mean, rtol=1e-9, atol=1e-9)
-
-
 # ---------------------------------------------------------------- what is refused
 
 

@@ -408,20 +408,17 @@ def test_a_target_that_seemed_lost_goes_back_through_the_wider_prediction():
 
 
 @pytest.mark.slow
-def test_batches_vmap_and_lags_give_the_same(crossing, scans):
+def test_targets_with_a_lag_and_from_what_the_filter_said_are_smoothed_alike(crossing, scans):
     f = presets.iaukf_jpda(
         crossing.motion, crossing.sensor, clutter=crossing.clutter, gate=Euclidean(150.0, probability=0.9999)
     )
 
-    def smooth(z, mean, root, **options):
-        return tuple(f.smooth(z, Gaussian(mean, root), **options)[:2])
+    def smooth(**options):
+        return tuple(f.smooth(scans.z, scans.prior, **options)[:2])
 
-    together = smooth(scans.z, *scans.prior)
-    one = smooth(scans.z[1], *(x[1] for x in scans.prior))
-    torch.testing.assert_close(one, tuple(x[1] for x in together), rtol=1e-9, atol=1e-9)
-    torch.testing.assert_close(torch.func.vmap(smooth)(scans.z, *scans.prior), together, rtol=1e-7, atol=1e-9)
-    torch.testing.assert_close(smooth(scans.z, *scans.prior, lag=24), together, rtol=1e-12, atol=1e-12)
-    filtered, lagged = f(scans.z, scans.prior), smooth(scans.z, *scans.prior, lag=4)
+    together = smooth()
+    torch.testing.assert_close(smooth(lag=24), together, rtol=1e-12, atol=1e-12)
+    filtered, lagged = f(scans.z, scans.prior), smooth(lag=4)
     whole = f.smooth(scans.z[:, :15], scans.prior)
     torch.testing.assert_close(lagged[0][:, :, 10], whole.mean[:, :, 10], rtol=1e-9, atol=1e-9)
     for estimate in (filtered, f(scans.z, scans.prior, past=True)):
@@ -474,24 +471,10 @@ LAGS = [None, 3]
 MOTION, SENSOR = ConstantVelocity(1.0), Position(2.0)
 PRIOR = Gaussian(torch.zeros(4).double(), torch.eye(4).double())
 Z = torch.zeros(6, 2).double()
-PACE = torch.linspace(0.5, 1.5, 4 * STEPS).double().reshape(4, STEPS)
 
 
 def near(a, b, tol=1e-9):
     torch.testing.assert_close(tuple(a[:2]), tuple(b[:2]), rtol=tol, atol=tol)
-
-
-@pytest.mark.parametrize(("name", "lag"), [("iaukf", 3), ("hghckf2", 3), ("fra", None), ("fra", 3)])
-def test_a_batch_and_vmap_are_a_loop_over_tracks(make, tracks, name, lag):
-    f, root = make(name), tracks.prior.scale_tril
-
-    def smooth(z, mean):
-        return tuple(f.smooth(z, Gaussian(mean, root), u=tracks.u, lag=lag)[:2])
-
-    together = smooth(tracks.z, tracks.prior.mean)
-    alone = [torch.stack(x) for x in zip(*map(smooth, tracks.z, tracks.prior.mean), strict=True)]
-    near(together, alone)
-    near(torch.func.vmap(smooth)(tracks.z, tracks.prior.mean), together)
 
 
 @pytest.mark.parametrize("name", ["srckf", "iaukf", "fra"])
@@ -517,57 +500,6 @@ def test_compiled_tracks_may_have_values_of_their_own(lag):
     near(f.smooth(z, prior, lag=lag)[:4], f.compile().smooth(z, prior, lag=lag)[:4], tol=1e-10)
 
 
-@pytest.mark.parametrize("lag", LAGS)
-def test_time_steps_may_differ_by_step_and_by_track(tracks, lag):
-    f, dt = presets.srckf(MOTION, SENSOR), 0.5 + torch.rand(3, 6).double()
-    z = 3 * torch.randn(3, 6, 2).double()
-    together = f.smooth(z, PRIOR, dt=dt, lag=lag)
-    for b in range(3):
-        near([x[b] for x in together[:2]], f.smooth(z[b], PRIOR, dt=dt[b], lag=lag))
-
-
-@pytest.mark.parametrize("lag", LAGS)
-@pytest.mark.parametrize(("name", "learn"), [("srckf", ("q",)), ("rsrckf", ("threshold",)), ("asrckf", ("weakening",))])
-def test_gradients_are_exact(make, tracks, name, learn, lag):
-    f = make(name, learn=learn)
-    names = [path for path, _ in f.named_parameters()]
-
-    def smooth(z, mean, *values):
-        arguments = (z, Gaussian(mean, tracks.prior.scale_tril)), {"u": tracks.u[:6], "lag": lag}
-        smoothed = torch.func.functional_call(_Smooth(f), {f"f.{n}": v for n, v in zip(names, values, strict=True)},
-                                              *arguments)  # fmt: skip
-        return tuple(x / 100 for x in smoothed[:2])
-
-    z = tracks.z[:1, :6].clone()
-    z = torch.where(z.isnan(), torch.nan, z)
-    values = [p.detach().clone().requires_grad_() for p in f.parameters()]
-    inputs = (z.requires_grad_(), tracks.prior.mean[:1].clone().requires_grad_(), *values)
-    assert torch.autograd.gradcheck(smooth, inputs, eps=1e-6, rtol=1e-4, atol=1e-5, fast_mode=True)
-
-
-class _Smooth(torch.nn.Module):
-    """A filter whose call is to smooth."""
-
-    def __init__(self, f):
-        super().__init__()
-        self.f = f
-
-    def forward(self, *args, **options):
-        return self.f.smooth(*args, **options)
-
-
-@pytest.mark.parametrize("lag", LAGS)
-def test_checkpoints_leave_the_gradient(make, tracks, lag):
-    f = make("fra", learn="all")
-
-    def gradient(**options):
-        smoothed = f.smooth(tracks.z, tracks.prior, u=tracks.u, lag=lag, **options)
-        loss = smoothed.mean.square().sum() + smoothed.scale_tril.square().sum()
-        return torch.autograd.grad(loss, list(f.parameters()), allow_unused=True)
-
-    torch.testing.assert_close(gradient(checkpoint=3), gradient(), rtol=1e-9, atol=0.0)
-
-
 def test_a_prior_without_uncertainty_and_a_motion_without_noise_have_finite_gradients():
     f = presets.srckf(ConstantVelocity(0.0), SENSOR)
     mean = torch.ones(4).double().requires_grad_()
@@ -587,14 +519,6 @@ def test_values_may_differ_by_track(make, tracks):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("options", [{"dt": PACE}, {"dt": PACE, "lag": 3}])
-def test_a_compiled_filter_smooths_as_one_that_is_not(make, tracks, options):
-    f, fast = make("rsrckf"), make("rsrckf").compile()
-    slow = f.smooth(tracks.z, tracks.prior, u=tracks.u, **options)
-    near(fast.smooth(tracks.z, tracks.prior, u=tracks.u, **options), slow)
-
-
-@pytest.mark.slow
 def test_with_a_lag_a_compiled_filter_that_decides_late_smooths_as_one_that_is_not(make, tracks, monkeypatch):
     """Also where not all windows are taken at once."""
     monkeypatch.setattr(backward, "_AT_ONCE", 80)
@@ -606,21 +530,6 @@ def test_with_a_lag_a_compiled_filter_that_decides_late_smooths_as_one_that_is_n
         quick = fast.smooth(z, tracks.prior, u=tracks.u, lag=lag, dt=dt)
         near(quick, slow, tol=1e-10)
     assert slow.info.filtered.info.abnormal[:, 7].any()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "learn", "lag"), [("asrckf", ("weakening", "q"), None), ("fra", ("q",), 3)])
-def test_gradients_of_a_compiled_filter_are_the_same(make, tracks, name, learn, lag):
-    slow, fast = make(name, learn=learn), make(name, learn=learn).compile()
-    losses, inputs = [], []
-    for f in (slow, fast):
-        z = tracks.z.clone().requires_grad_()
-        smoothed = f.smooth(z, tracks.prior, u=tracks.u, lag=lag)
-        losses.append(smoothed.mean.square().sum() + smoothed.scale_tril.square().sum())
-        inputs.append([z, *f.parameters()])
-    torch.testing.assert_close(*losses, rtol=1e-9, atol=0.0)
-    gradients = [torch.autograd.grad(loss, values) for loss, values in zip(losses, inputs, strict=True)]
-    torch.testing.assert_close(*gradients, rtol=1e-8, atol=1e-8)
 
 
 def test_a_compiled_motion_that_is_not_linear_goes_back_too():
@@ -636,14 +545,6 @@ def test_a_track_of_one_step_is_filtered():
     f = presets.srckf(MOTION, SENSOR)
     near(f.smooth(Z[:1], PRIOR), f(Z[:1], PRIOR), tol=0)
     near(f.smooth(Z[:1], PRIOR, lag=2), f(Z[:1], PRIOR), tol=0)
-
-
-def test_a_track_that_fails_fails_alone():
-    f, z = presets.srckf(MOTION, SENSOR), torch.randn(2, 6, 2).double()
-    z[0, 3] = torch.inf
-    smoothed = f.smooth(z, PRIOR)
-    assert smoothed.failed.tolist() == [True, False]
-    near([x[1] for x in smoothed[:2]], f.smooth(z[1], PRIOR))
 
 
 @pytest.mark.parametrize(

@@ -184,40 +184,6 @@ def turning(steps=10):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["imm_fra", "vsimm_srckf"])
-def test_batches_vmap_and_checkpoints_give_the_same(name):
-    rows = presets.imm(aircraft(), Position(STD)).matrix()
-    f, (prior, z) = getattr(presets, name)(aircraft(), Position(STD), transition=rows, learn=("transition",)), turning()
-
-    def smooth(z, **options):
-        smoothed = f.smooth(z, prior, **options)
-        return smoothed.mean, smoothed.scale_tril, smoothed.info.probabilities
-
-    with torch.no_grad():
-        together = smooth(z)
-        torch.testing.assert_close(smooth(z[1]), tuple(x[1] for x in together), rtol=1e-7, atol=1e-7)
-        torch.testing.assert_close(torch.func.vmap(smooth)(z), together, rtol=1e-7, atol=1e-7)
-    gradients = [
-        torch.autograd.grad(sum(x.square().sum() for x in smooth(z, checkpoint=c)), list(f.parameters()))
-        for c in (None, 4)
-    ]
-    assert all(g.isfinite().all() and (g != 0).any() for g in gradients[0])
-    torch.testing.assert_close(*gradients, rtol=1e-7, atol=1e-7)
-
-
-def test_gradients_are_exact():
-    _, z = simulated(bank(), runs=1, steps=5)
-    f = imm(Bank([ConstantVelocity(0.5), CoordinatedTurn(0.1, 4.0)]))
-
-    def smooth(z, mean):
-        smoothed = f.smooth(z, Gaussian(mean, ROOT))
-        return smoothed.mean, smoothed.scale_tril, smoothed.info.probabilities
-
-    inputs = (z[0].requires_grad_(), START.clone().requires_grad_())
-    assert torch.autograd.gradcheck(smooth, inputs, eps=1e-6, rtol=1e-4, atol=1e-5, fast_mode=True)
-
-
-@pytest.mark.slow
 def test_compiled_three_models_smooth_as_ones_that_are_not():
     _, z = simulated(bank(), runs=3, steps=8)
     f = presets.imm_srckf(Bank([ConstantVelocity(q) for q in (0.01, 1.0, 25.0)]), Position(STD))

@@ -5,8 +5,6 @@ import math
 import pytest
 import torch
 
-from torchfra import presets
-from torchfra.hyper import learnable
 from torchfra.motion import (
     ConstantAcceleration,
     ConstantVelocity,
@@ -15,8 +13,6 @@ from torchfra.motion import (
     Singer,
     WhiteJerk,
 )
-from torchfra.sensors import Position
-from torchfra.types import Gaussian
 
 T = torch.tensor(2.0, dtype=torch.float64)
 
@@ -59,22 +55,6 @@ def test_the_mean_goes_on_as_at_constant_acceleration_and_the_noise_shrinks_towa
         power[0, 4:] / at_rest, tensor(0.25, (3 / 2) ** 2)
     )  # room 1 of 2, and 3 where 2 is scale
     torch.testing.assert_close(power[1, 4:], tensor(0, 0))
-
-
-@pytest.mark.slow
-def test_the_level_is_the_estimate_and_gradients_reach_every_value():
-    motion = learnable(CurrentStatistical(0.3, 2.0, negative_limit=3.0), "all")
-    f = presets.srckf(motion, Position(1.0))
-    prior = Gaussian(tensor(0, 0, 10, 0, 0.5, -0.5), torch.eye(6, dtype=torch.float64))
-    z = torch.randn(4, 6, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
-    names, values = zip(*f.named_parameters(), strict=True)
-
-    def score(*values):
-        return torch.func.functional_call(f, dict(zip(names, values, strict=True)), (z, prior)).log_likelihood
-
-    assert torch.autograd.gradcheck(score, [v.detach().clone().requires_grad_() for v in values])
-    fast = presets.srckf(motion, Position(1.0)).compile()
-    torch.testing.assert_close(fast(z, prior).mean, f(z, prior).mean, rtol=1e-10, atol=1e-10)
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.3, -0.02])

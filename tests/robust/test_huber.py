@@ -216,24 +216,6 @@ def test_compiled_it_gives_the_same_and_the_same_gradients(preset):
         torch.testing.assert_close(fast, slow, rtol=1e-7, atol=1e-9)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("options", [{}, {"eps": 0.2}, {"cov_mode": "indicator"}])
-def test_gradients_of_the_score_are_exact(options):
-    names = ("threshold", "eps", "std") if "eps" in options else ("threshold", "std")
-    f = presets.hghckf2(ConstantAcceleration(1.0), Position(2.0), rule=third_degree, learn=names, **options)
-    z = torch.tensor([[1.0, 2.0], [30.0, -1.0], [3.0, 2.5]]).double()
-    prior = Gaussian(torch.zeros(6).double(), 3 * torch.eye(6).double())
-    parameters = dict(f.named_parameters())
-
-    def out(*values):
-        e = torch.func.functional_call(f, dict(zip(parameters, values, strict=True)), (z, prior))
-        return e.mean, e.scale_tril
-
-    assert torch.autograd.gradcheck(
-        out, [p.detach().clone().requires_grad_() for p in parameters.values()], fast_mode=True
-    )
-
-
 @pytest.mark.parametrize("robust", [HuberScore(), HuberRegression()])
 def test_interacting_models_take_them(robust):
     models = [ConstantAcceleration(0.1), ConstantAcceleration(3.0)]

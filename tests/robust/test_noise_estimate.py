@@ -9,7 +9,7 @@ from torchfra import metrics, presets, scenarios
 from torchfra.adaptive import Fading, SageHusa
 from torchfra.filters import SRCKF
 from torchfra.robust import Huber
-from torchfra.types import Gaussian, Whitened
+from torchfra.types import Whitened
 
 SETTINGS = [
     ({}, oracles.Tuned()),
@@ -150,20 +150,6 @@ def test_the_likelihood_of_an_innovation_uses_the_noise_estimate_before_it(scena
     law = torch.distributions.MultivariateNormal(torch.zeros(3).double(), scale_tril=innovation.scale_tril)
     torch.testing.assert_close(innovation.log_likelihood, law.log_prob(innovation.residual))
     assert (f(tracks.z, tracks.prior).info.noise[:, 59] > 2).all()
-
-
-@pytest.mark.slow
-def test_gradients_reach_forgetting_confidence_and_nominal_noise(scenario, tracks):
-    f = presets.iaukf(scenario.motion, scenario.sensor, learn=("forgetting", "confidence", "std"))
-    z, names = tracks.z[:2, :12], [name for name, _ in f.named_parameters()]
-    prior = Gaussian(tracks.prior.mean[:2], tracks.prior.scale_tril[:2])
-
-    def loss(*values):
-        estimate = torch.func.functional_call(f, dict(zip(names, values, strict=True)), (z, prior))
-        return estimate.log_likelihood.sum(), estimate.mean[..., 5].sum() * 1e3
-
-    values = [p.detach().clone().requires_grad_() for p in f.parameters()]
-    assert torch.autograd.gradcheck(loss, values, atol=1e-5)
 
 
 def test_an_argument_out_of_range_is_named(scenario):

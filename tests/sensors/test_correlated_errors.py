@@ -110,21 +110,6 @@ def test_a_motion_that_measures_itself_among_ranges_whose_errors_last():
     close(estimate.mean[-1, :2], [8.0, 5.0], 0.7)
 
 
-def test_gradients_of_size_and_duration_are_those_of_finite_differences():
-    z = measured()
-
-    def score(std, time):
-        f = presets.srckf(MOTION, Correlated(Position(1.5), 3.0, 20.0))
-        error = f.errors[0]
-        values = {"std": std, "time": time}
-        for name, value in values.items():
-            getattr(error, name).register_forward_hook(lambda *_, value=value: value)
-        return f(z, PRIOR, dt=DT).log_likelihood.sum()
-
-    inputs = tuple(torch.tensor(x, requires_grad=True, **F64) for x in (3.0, 20.0))
-    assert torch.autograd.gradcheck(score, inputs)
-
-
 @pytest.mark.slow
 def test_size_and_duration_are_learned_from_measurements_alone():
     rng, keeps = torch.Generator().manual_seed(5), math.exp(-1 / 15)
@@ -141,16 +126,6 @@ def test_size_and_duration_are_learned_from_measurements_alone():
     assert 3.5 < learned.std() < 4.5
     assert 11 < learned.time() < 20
     assert 0.9 < fitted.filter.sensor.std() < 1.1
-
-
-@pytest.mark.slow
-def test_compiled_it_is_the_same():
-    z, sensor = measured(3), Correlated(Position(1.5), 3.0, 20.0)
-    f, g = (presets.rsrckf(MOTION, sensor) for _ in range(2))
-    g.compile()
-    close(g(z, PRIOR, dt=DT).mean, f(z, PRIOR, dt=DT).mean)
-    close(g.smooth(z, PRIOR, dt=DT).mean, f.smooth(z, PRIOR, dt=DT).mean)
-    close(g.step(g.init(PRIOR), z[0, 0])[0].belief.mean, f.step(f.init(PRIOR), z[0, 0])[0].belief.mean)
 
 
 BAD = [

@@ -2,19 +2,32 @@
 
 import copy
 import math
+from dataclasses import dataclass
+from functools import partial
 
 import pytest
 import torch
-from gpb_cases import ANCHORS, PRIOR, VALUES, measured
+from gpb_cases import ANCHORS, FEWER, PRIOR, VALUES, measured
 from refusals import asked  # noqa: F401  a fixture
 from short_tracks import SMALL_GPB
 
 from torchfra import presets
+from torchfra.association import ChiSquare, Clutter, Euclidean
 from torchfra.catalogue import FILTERS
 from torchfra.filters import SRCKF
-from torchfra.motion import Bank, ConstantAcceleration, ConstantVelocity, CoordinatedTurn, RandomWalk
-from torchfra.sensors import Position, Ranges, Sensor
+from torchfra.gaussian import third_degree
+from torchfra.motion import (
+    Bank,
+    ConstantAcceleration,
+    ConstantVelocity,
+    CoordinatedTurn,
+    CurrentStatistical,
+    RandomWalk,
+)
+from torchfra.sensors import Correlated, Position, Ranges, Sensor
 from torchfra.testing import CHECKS, check_filter
+from torchfra.testing.battery import tried
+from torchfra.testing.case import Case, make_case
 from torchfra.types import Gaussian
 
 ELSEWHERE = {
@@ -66,6 +79,65 @@ def test_kernels_of_gpb_keep_it_too(monkeypatch):
     report = check_filter(presets.gpb(RandomWalk(1.0), Position(2.0), **SMALL_GPB), only=names)
     assert report.of("passed") == report.outcomes
     assert {outcome.way for outcome in report.outcomes} == {"compiled"}
+
+
+@dataclass(frozen=True)
+class Smoothed(Case):
+    """The same, of smoothed estimates."""
+
+    lag: int | None = None
+
+    def __call__(self, **given):
+        arguments = {"z": self.z, "prior": self.prior, "dt": self.dt, "u": self.u, "lag": self.lag}
+        return self.filter.smooth(**arguments | given)
+
+
+OF_SMOOTHED = [name for name in CHECKS if name not in (HOLDS, "steps_give_what_whole_tracks_give")]
+LAGGED = ("srckf", "iaukf", "fra", "imm_srckf", "vsimm_srckf", "iaukf_jpda")
+SMOOTHED = [(name, None) for name in NAMES if name != "alphabeta"] + [(name, 2) for name in LAGGED]
+QUICK = ("srckf", "asrckf")
+
+
+@pytest.mark.parametrize(
+    ("name", "lag"), [pytest.param(*of, marks=() if of[0] in QUICK else pytest.mark.slow) for of in SMOOTHED]
+)
+def test_every_smoother_keeps_what_filters_promise(name, lag, scenario, crossing):
+    f, tracks = preset(name, scenario, crossing, **(SMALL_GPB if name == "gpb" else {}))
+    case = make_case(f, tracks["z"], tracks["prior"], 1.0, tracks.get("u"), seed=0, thorough=False)
+    report = tried(Smoothed(**vars(case), lag=lag), OF_SMOOTHED, compiled=name in COMPILED)
+    assert report.of("passed") == report.outcomes
+
+
+MOTION, SENSOR = ConstantVelocity(1.0), Position(2.0)
+BANK = [MOTION, ConstantVelocity(10.0)]
+THREE = {"plain": 1.0, "preference": 0.4, "provisional": "likeliest", "final": "likeliest"}
+SCANS = {"clutter": Clutter(1e6), "temperature": 0.1}
+SETTINGS = {
+    "three branches": lambda: presets.fra(MOTION, SENSOR, **THREE),
+    "three soft branches": lambda: presets.fra(MOTION, SENSOR, **THREE, temperature=1.0),
+    "rows of transitions": lambda: presets.imm(BANK, SENSOR, transition=[[0.95, 0.05], [0.1, 0.9]]),
+    "durations": lambda: presets.imm(BANK, SENSOR, durations=(60.0, 9.0)),
+    "soft gains": lambda: presets.alphabeta(
+        ConstantAcceleration(1.0, 3), Position(20.0, dims=3), onset="fastest", detect="polar", temperature=0.2
+    ),
+    "errors that last": lambda: presets.rsrckf(MOTION, Correlated(SENSOR, 3.0, 20.0)),
+    "a share of outliers": lambda: presets.hghckf2(MOTION, SENSOR, rule=third_degree, eps=0.2),
+    "weights of the covariance": lambda: presets.hghckf2(MOTION, SENSOR, rule=third_degree, cov_mode="indicator"),
+    "level of the acceleration": lambda: presets.srckf(CurrentStatistical(0.3, 2.0, negative_limit=3.0), SENSOR),
+    "ranges": lambda: presets.srckf(ConstantAcceleration(0.3), Ranges(ANCHORS, 0.15)),
+    "models of targets": lambda: presets.jpda(BANK, SENSOR, inner=presets.imm, lost=1e-2, **SCANS),
+    "regimes of targets": lambda: presets.jpda(MOTION, SENSOR, inner=partial(presets.gpb, **FEWER), **SCANS),
+    "soft gates of targets": lambda: presets.iaukf_jpda(MOTION, SENSOR, lost=0.0, gate=Euclidean(60.0), **SCANS),
+    "soft gates of a probability": lambda: presets.iaukf_jpda(MOTION, SENSOR, gate=ChiSquare(0.9), **SCANS),
+}
+OF_KERNELS = ("three soft branches", "rows of transitions", "durations", "soft gains", "errors that last")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SETTINGS)
+def test_filters_keep_it_however_they_are_set(name):
+    report = check_filter(SETTINGS[name](), compiled=name in OF_KERNELS, skip=(HOLDS,))
+    assert report.of("passed") == report.outcomes
 
 
 OF_TRACKS = (
@@ -130,9 +202,6 @@ class Looking(Position):
 
     def forward(self, x, u=None):
         return super().forward(x) if x.sum() > 0 else super().forward(-x)
-
-
-MOTION = ConstantVelocity(1.0)
 
 
 @pytest.mark.usefixtures("asked")

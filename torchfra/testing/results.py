@@ -64,6 +64,9 @@ def steps_give_what_whole_tracks_give(case: Case) -> None:
         expect_same(state.belief.mean, now.mean.select(-2, k), f"mean of step {k}")
         expect_same(innovation.log_likelihood, estimate.log_likelihood[..., k], f"log_likelihood of step {k}")
         expect_same(innovation.nis, estimate.nis[..., k], f"nis of step {k}")
+        if k and hasattr(state, "lagged"):
+            settled = getattr(estimate.info, "lagged", estimate)
+            expect_same(state.lagged.mean, settled.mean.select(-2, k - 1), f"mean of step {k - 1}, settled by the next")
 
 
 @check("eager")
