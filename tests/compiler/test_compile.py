@@ -77,23 +77,6 @@ def test_sensors_of_ones_own_and_their_parameters():
 # ---------------------------------------------------------------- gradients
 
 
-@pytest.mark.slow
-def test_gradients_of_soft_decisions_are_the_same_for_data_prior_and_every_value(make, tracks):
-    f = make("fra", learn="all", temperature=1.0)
-    found = []
-    for g in (f, copy.deepcopy(f).compile()):
-        z, mean = tracks.z.clone().requires_grad_(), tracks.prior.mean.clone().requires_grad_()
-        root = tracks.prior.scale_tril.clone().requires_grad_()
-        e = g(z, Gaussian(mean, root), u=tracks.u)
-        truth = tracks.truth
-        loss = (e.mean - truth)[..., :2].square().sum() + 10 * e.log_likelihood.sum() + e.scale_tril.square().sum()
-        loss.backward()
-        values = [p.grad for p in g.parameters() if p.grad is not None and p.grad != 0]
-        found.append((z.grad, mean.grad, root.grad, *values))
-    for slow, fast in zip(*found, strict=True):
-        close(slow, fast, 1e-9)
-
-
 def test_every_track_has_the_gradient_it_has_alone(make, tracks):
     """What training rests on: hyperparameters of its own for each track."""
     f = make("srckf", learn="all").compile()

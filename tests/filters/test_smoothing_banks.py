@@ -183,16 +183,6 @@ def turning(steps=10):
     return Gaussian(mean, torch.tensor([10.0, 10, 5, 5, 1, 1]).double().diag()), z
 
 
-@pytest.mark.slow
-def test_compiled_three_models_smooth_as_ones_that_are_not():
-    _, z = simulated(bank(), runs=3, steps=8)
-    f = presets.imm_srckf(Bank([ConstantVelocity(q) for q in (0.01, 1.0, 25.0)]), Position(STD))
-    eager = f.smooth(z, PRIOR)
-    fast = f.compile().smooth(z, PRIOR)
-    torch.testing.assert_close(tuple(fast[:2]), tuple(eager[:2]), rtol=1e-10, atol=1e-10)
-    torch.testing.assert_close(fast.info.probabilities, eager.info.probabilities, rtol=1e-10, atol=1e-10)
-
-
 def test_a_model_that_fails_fails_alone():
     class Bursting(ConstantVelocity):
         def transition(self, dt):

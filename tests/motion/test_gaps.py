@@ -32,6 +32,8 @@ MOTIONS = {
     "clock": Clock(0.3, 0.02),
     "gauss markov": GaussMarkov(3.0, 10.0, 2),
     "turn": CoordinatedTurn(0.3, 0.7, 3, continuous=True),
+    "constant velocity with an acceleration": ConstantVelocity(0.7, 2, orders=3, continuous=True),
+    "turn of no rate": CoordinatedTurn(0.0, 0.7, 2, continuous=True),
     "turn with an acceleration": CoordinatedTurn(-0.3, 0.7, orders=3, continuous=True),
     "level": Level(IntegratedOrnsteinUhlenbeck(1.0, 1.0), 0.1),
     "augmented": Augmented(Singer(1.0, 1.0), RandomWalk(0.1, 2, kind="bias")),

@@ -264,20 +264,6 @@ def test_differences_say_what_ranges_with_an_unknown_clock_say():
     torch.testing.assert_close(offset.covariance[:, :4, :4], differences.covariance, rtol=1e-4, atol=1e-6)
 
 
-def test_differences_run_in_filters_compiled_and_learn_their_noise():
-    sensor = TimeDifferences(ANCHORS, 0.3)
-    z = sensor(TRUTH) + 0.3 * (noise(3, 20, 3) - noise(3, 20, 1, seed=1))
-    z[0, 4, 1] = math.nan
-    f = presets.srckf(MOTION, sensor, learn=("std",))
-    slow = f(z, PRIOR)
-    slow.log_likelihood.sum().backward()
-    assert [p.grad.abs().item() > 0 for p in f.parameters()] == [True]
-    with torch.no_grad():
-        fast = copy.deepcopy(f).compile()(z, PRIOR)
-    torch.testing.assert_close(fast.mean, slow.mean.detach(), rtol=0, atol=1e-10)
-    assert (slow.mean - TRUTH)[:, 5:, :2].norm(dim=-1).mean() < 0.5
-
-
 # ---------------------------------------------------------------- what is handed in
 
 

@@ -24,7 +24,7 @@ from torchfra.motion import (
     CurrentStatistical,
     RandomWalk,
 )
-from torchfra.sensors import Correlated, Position, Ranges, Sensor
+from torchfra.sensors import Correlated, Position, Ranges, Sensor, TimeDifferences
 from torchfra.testing import CHECKS, check_filter
 from torchfra.testing.battery import tried
 from torchfra.testing.case import Case, make_case
@@ -124,6 +124,7 @@ SETTINGS = {
     "a share of outliers": lambda: presets.hghckf2(MOTION, SENSOR, rule=third_degree, eps=0.2),
     "weights of the covariance": lambda: presets.hghckf2(MOTION, SENSOR, rule=third_degree, cov_mode="indicator"),
     "level of the acceleration": lambda: presets.srckf(CurrentStatistical(0.3, 2.0, negative_limit=3.0), SENSOR),
+    "differences of times": lambda: presets.srckf(MOTION, TimeDifferences(ANCHORS, 0.3)),
     "ranges": lambda: presets.srckf(ConstantAcceleration(0.3), Ranges(ANCHORS, 0.15)),
     "models of targets": lambda: presets.jpda(BANK, SENSOR, inner=presets.imm, lost=1e-2, **SCANS),
     "regimes of targets": lambda: presets.jpda(MOTION, SENSOR, inner=partial(presets.gpb, **FEWER), **SCANS),
