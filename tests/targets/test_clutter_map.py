@@ -9,8 +9,8 @@ from joint import plane
 from torchfra import presets, tree
 from torchfra.association import Clutter
 from torchfra.motion import ConstantVelocity
-from torchfra.sensors import Bearings, Position
-from torchfra.targets import ClutterMap, FieldOfView, MOfN, OnePoint, Targets, collect
+from torchfra.sensors import Bearings
+from torchfra.targets import ClutterMap, FieldOfView, MOfN, OnePoint, Targets
 
 BUOY = torch.tensor([40.0, -20.0]).double()
 
@@ -58,27 +58,6 @@ def test_what_goes_with_the_platform_is_clutter_in_the_frame_of_the_platform():
     assert len(found["platform"]) == 0
 
 
-def test_scenes_side_by_side_have_maps_of_their_own():
-    targets = manager(clutter_map=ClutterMap(2.0))
-    each = scans(1, 15), scans(2, 15)
-    both = targets(torch.stack(each))
-    for i, z in enumerate(each):
-        alone = targets(z)
-        assert both.identity[i, : len(alone.identity)].tolist() == alone.identity.tolist()
-        torch.testing.assert_close(both.mean[i, : len(alone.identity)], alone.mean, equal_nan=True)
-
-
-def test_a_map_goes_on_when_it_was_saved():
-    targets, state, states = manager(clutter_map=ClutterMap(2.0)), None, []
-    state = targets.init()
-    for k, z in enumerate(scans(3, 15)):
-        state = targets.step(state, z)
-        if k == 8:
-            state = targets.restored(targets.saved(state))
-        states.append(state)
-    torch.testing.assert_close(collect(states), targets(scans(3, 15)), equal_nan=True, rtol=0, atol=0)
-
-
 def test_measurements_are_forgotten():
     targets = manager(clutter_map=ClutterMap(2.0, seconds=3.0))
     state = targets.init()
@@ -86,14 +65,6 @@ def test_measurements_are_forgotten():
         state = targets.step(state, z)
     assert len(state.clutter.weight) <= 4 * 14  # of the last 3 log(100) s
     assert state.clutter.scans.item() == pytest.approx(1 / (1 - math.exp(-1 / 3)), rel=1e-4)
-
-
-def test_gradients_reach_the_noise_past_a_map():
-    clutter = Clutter(9e4, rate=2.0)
-    f = presets.jpda(ConstantVelocity(1.0), Position(2.0), clutter=clutter, detection=0.9, learn=["std"])
-    targets = Targets(f, birth=OnePoint(5.0), clutter_map=ClutterMap(2.0))
-    targets(scans(5, 15)).log_likelihood.sum().backward()
-    assert all(p.grad is not None and p.grad.isfinite().all() for p in targets.filter.sensor.parameters())
 
 
 @pytest.mark.parametrize(("farthest", "there"), [(30.0, True), (1000.0, False)])

@@ -11,7 +11,7 @@ from oracles.events import joint_existence
 from torchfra import presets
 from torchfra.association import ChiSquare, Clutter, associate
 from torchfra.filters.scans.scan import associate_uncertain
-from torchfra.targets import SPRT, Deletion, Existence, FieldOfView, Merging, OnePoint, Targets, TwoPoint
+from torchfra.targets import SPRT, Deletion, Existence, FieldOfView, OnePoint, Targets, TwoPoint
 
 FALSE, WIDTH, COUNT = 12, 200.0, 3
 
@@ -114,18 +114,6 @@ def test_a_target_that_has_ended_is_deleted_and_one_out_of_sight_is_not():
         for scan in nothing.unbind(1):
             state = targets.step(state, scan, u=ferry + away)
         assert len(state.identity) == there
-
-
-@pytest.mark.parametrize("birth", [OnePoint(3.0), TwoPoint(10.0)], ids=["one point", "two points"])
-def test_a_batch_of_scenes_is_each_scene_alone(birth):
-    targets, scans = manager(Existence(), birth=birth, merging=Merging()), dense(2, 7, 1)
-    together = targets(scans)
-    assert together.identity.shape[-1] >= COUNT
-    for i, scene in enumerate(scans):
-        alone = targets(scene)
-        K = alone.identity.shape[-1]
-        assert together.identity[i, :K].tolist() == alone.identity.tolist()
-        torch.testing.assert_close(together.mean[i, :K], alone.mean, equal_nan=True, rtol=1e-9, atol=1e-9)
 
 
 def check_gradients(targets, scans):

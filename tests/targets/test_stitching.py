@@ -118,16 +118,6 @@ def test_as_many_as_possible_are_paired_and_then_the_nearest():
         assert list(zip(i.tolist(), j.tolist(), strict=True)) == expected
 
 
-def test_scenes_side_by_side_are_each_scene_alone():
-    targets = manager(Stitching(12.0, 60.0))
-    z = torch.stack([scans(ONE, TWO), scans(TWO, (90.0, -40.0, -3.0, 2.0), seed=3)])
-    both = targets(z)
-    for i in range(2):
-        alone = targets(z[i])
-        assert both.identity[i].tolist() == alone.identity.tolist()
-        torch.testing.assert_close(both.mean[i], alone.mean, equal_nan=True)
-
-
 def test_what_was_lost_is_forgotten_and_saved_and_comes_back_with_a_late_scan(tmp_path):
     targets, z = manager(Stitching(12.0, 60.0), lag=3.0), scans(ONE, TWO)
     states = run(targets, z)
@@ -155,13 +145,6 @@ def test_who_was_lost_is_predicted_by_any_filter_and_a_sensor_that_moves(inner):
     z[list(GAP)] = math.nan
     states = run(manager(Stitching(12.0, 60.0), f=f), z, u=place)
     assert states[9].identity.tolist() == states[-1].identity.tolist() == [0]
-
-
-def test_gradients_do_not_mind():
-    targets = manager(Stitching(12.0, 60.0), f=plane(learn=["std"]))
-    estimate = targets(scans(ONE))
-    estimate.mean[estimate.confirmed].sum().backward()
-    assert all(p.grad.isfinite().all() for p in targets.parameters())
 
 
 @pytest.mark.parametrize(

@@ -76,26 +76,6 @@ def test_clusters_one_by_one_are_the_whole_scan_at_once():
     torch.testing.assert_close(density, record.density, rtol=1e-9, atol=1e-9)
 
 
-def test_a_batch_of_scenes_is_each_scene_alone_and_a_stream_of_scans():
-    targets = Targets(plane(), birth=TwoPoint(20.0), merging=Merging())
-    scans = torch.stack([with_clutter(moving(FOUR, 15, seed=s)[1], 3, 150.0, s) for s in range(3)])
-    together = targets(scans)
-    for i, scene in enumerate(scans):
-        alone = targets(scene)
-        K = alone.identity.shape[-1]
-        assert together.identity[i, :K].tolist() == alone.identity.tolist()
-        assert (together.identity[i, K:] == -1).all()
-        torch.testing.assert_close(together.mean[i, :K], alone.mean, equal_nan=True)
-        torch.testing.assert_close(together.log_likelihood[i, :K], alone.log_likelihood)
-        states = run(targets, scene)
-        torch.testing.assert_close(collect(states), alone, equal_nan=True)
-        for t, state in enumerate(states):
-            there = alone.confirmed[:, t]
-            assert state.identity.tolist() == alone.identity[there].tolist()
-            torch.testing.assert_close(state.confirmed.mean, alone.mean[there, t])
-            torch.testing.assert_close(state.confirmed.scale_tril, alone.scale_tril[there, t])
-
-
 def test_the_estimate_goes_into_the_metrics_as_it_is():
     truth, z = moving(FOUR, 20)
     estimate = Targets(plane(), birth=TwoPoint(20.0))(with_clutter(z, 3, 150.0))
@@ -155,18 +135,6 @@ def test_scans_without_measurements_count_as_misses_of_a_lost_track():
     for state in states[1:]:
         torch.testing.assert_close(state.filter.missed[0], states[0].filter.missed[0])
         torch.testing.assert_close(state.belief.scale_tril[0], states[0].belief.scale_tril[0])
-
-
-@pytest.mark.parametrize("make", [plane, lambda: plane(inner=presets.gpb)], ids=["one model", "regimes"])
-def test_a_stream_that_was_saved_goes_on_to_the_same_bits(make, tmp_path):
-    targets, z = Targets(make(), birth=TwoPoint(20.0)), with_clutter(moving(FOUR, 12)[1], 3, 150.0)
-    state = run(targets, z[:8])[-1]
-    torch.save(targets.saved(state), tmp_path / "targets.pt")
-    again = targets.restored(torch.load(tmp_path / "targets.pt", weights_only=True))
-    for scan in z[8:]:
-        state, again = targets.step(state, scan), targets.step(again, scan)
-    for one, other in zip(tree.flatten(state), tree.flatten(again), strict=True):
-        assert torch.equal(one, other)
 
 
 def test_a_saved_state_of_another_manager_is_refused():
@@ -371,15 +339,6 @@ def test_a_compiled_filter_runs_compiled_and_leaves_the_same_targets():
     torch.testing.assert_close(slow.track.score, fast.track.score, rtol=1e-10, atol=1e-10)
     (version,) = quick.filter.engine._versions
     assert len(version.kernels) >= 3  # what to expect, clusters of one, clusters of two
-
-
-def test_gradients_flow_through_the_lives_of_targets():
-    f = plane(learn=("detection", "q"))
-    targets = Targets(f, birth=TwoPoint(20.0))
-    estimate = targets(with_clutter(moving(FOUR, 8)[1], 3, 150.0))
-    (estimate.log_likelihood.sum() + estimate.mean[estimate.confirmed].sum()).backward()
-    assert all(p.grad is not None and p.grad.abs().sum() > 0 for p in targets.parameters())
-    assert all(p.grad is None for p in f.parameters())  # a copy runs
 
 
 def test_single_precision_stays_single():

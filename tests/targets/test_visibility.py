@@ -11,7 +11,7 @@ from oracles.targets import manage
 from test_existence import check_gradients
 from test_targets_oracle import BIRTHS, DT, HASTY, PD, PG, RATE, STD, WIDTH, Q, follow, manager, scans
 
-from torchfra import presets, tree
+from torchfra import presets
 from torchfra.association import ChiSquare, Clutter
 from torchfra.association.gates import Candidates
 from torchfra.filters.scans.scan import Scan
@@ -144,16 +144,6 @@ def test_a_target_is_visible_to_the_sensor_that_found_it_and_to_others_as_often_
     for sensor, expected in ((None, [1.0, 2 / 3]), ("other", [20 / 28, 1.0])):
         state = targets.step(targets.init(), z, sensor=sensor)
         torch.testing.assert_close(state.track.visible, torch.tensor([expected]).double())
-
-
-def test_a_stream_that_was_saved_goes_on_to_the_same_bits():
-    targets, z = two_sensors(TwoPoint(12.0), Existence(60.0), visibility=CHAINS), scans(0, 12)
-    state = states_of(targets, z[:6])[-1]
-    again = targets.restored(targets.saved(state))
-    assert len(state.track.visible)
-    for scan in z[6:]:
-        state, again = (targets.step(x, torch.from_numpy(scan)) for x in (state, again))
-    assert all(torch.equal(a, b) for a, b in zip(tree.flatten(state), tree.flatten(again), strict=True))
 
 
 def test_a_late_scan_leaves_what_scans_in_the_order_of_their_times_leave():
