@@ -140,6 +140,8 @@ BAD = [
     (lambda: presets.srckf(MOTION, Biased(Correlated(Position(1.0), 3.0, 60.0), 2)), r"sensor: expected one without"),
     (lambda: presets.srckf(MOTION, Correlated(Position(1.0), 3.0, 60.0)).other_sensor(
         Correlated(Position(1.0), 3.0, 60.0)), r"sensor: expected one without time-correlated errors"),
+    (lambda: presets.gpb(MOTION, Stacked(Correlated(Position(1.0), 3.0, 60.0), Position(1.0)))(
+        torch.zeros(2, 4, **F64), PRIOR, noise=torch.ones(2, 4, 4, **F64).tril()), r"noise: expected noise that is"),
 ]  # fmt: skip
 
 

@@ -27,6 +27,7 @@ from torchfra.gaussian.inputs import (
     batch_rank,
     broadcast_with_values,
     make_frames,
+    value_batches,
 )
 from torchfra.gaussian.model import Propagated, compare, predict, propagate
 from torchfra.gaussian.rules import Rule
@@ -221,7 +222,15 @@ class Recursion(Part, Generic[S]):
         check_models(self.motion, sensor)
         if self.limits.other_sensors is not None:
             raise ValueError(f"sensor: expected None, as {self.limits.other_sensors}, received {sensor.describe()}")
+        self.check_noise(sensor, None)
         return sensor
+
+    def check_noise(self, sensor: Sensor, noise: Tensor | None) -> None:
+        """Checks roots ``(..., m, m)`` of noise, or that of another sensor; a filter may need what not all noise has.
+
+        Raises:
+            ValueError: it is not as the filter needs it.
+        """
 
     @in_full_precision
     def init(self, prior: Gaussian) -> S:
@@ -245,7 +254,14 @@ class Recursion(Part, Generic[S]):
         sensor = measurements.sensor or self.sensor
         zero_dt = self.limits.zero_dt
         batch = check(measurements, prior, self.motion, sensor.size, scans=self.scans, name=name, zero_dt=zero_dt)
+        if measurements.noise is not None:
+            innermost(self).check_noise(sensor, measurements.noise)
         if self.scans:  # targets, whose values may differ, are no part of the batch
+            count = prior.mean.shape[-2]
+            for path, values in value_batches(self).items():
+                if values[-1] not in (1, count):
+                    expected = f"a value for each of {count} targets or one for all"
+                    raise ValueError(f"{path}: expected {expected}, received {tuple(values)}")
             batch = torch.Size((1,) * (batch_rank(self) - 1 - len(batch))) + batch
         else:
             batch = broadcast_with_values(self, batch)

@@ -43,7 +43,7 @@ from torchfra.filters.gpb.slopes import (
 )
 from torchfra.filters.gpb.states import GPBInfo, GPBPast, GPBState, LastMeasurement, Step
 from torchfra.gaussian.cubature import third_degree
-from torchfra.gaussian.inputs import BackwardStep, Frame, Measurements
+from torchfra.gaussian.inputs import BackwardStep, Frame
 from torchfra.gaussian.mixture import matched, moment_match
 from torchfra.gaussian.model import canonical
 from torchfra.gaussian.rules import Rule
@@ -555,18 +555,13 @@ class GPB(Filter[GPBState]):
         every = range(frame.sensor.size) if elements is None else elements
         return by_points_or_slope(lambda x: elements_of(compare(x, frame), every), belief)
 
-    def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
-        """Checks the arguments, and that noise is independent between blocks; their batch."""
-        batch = super()._batch(measurements, prior, name)
-        self.outliers_of(measurements.sensor or self.sensor).check_noise("noise", measurements.noise)
-        return batch
-
-    def other_sensor(self, sensor: Sensor | None) -> Sensor | None:
-        """A sensor that is not the filter's own, whose noise is independent between blocks: see ``Filter``."""
-        other = super().other_sensor(sensor)
-        if other is not None:
-            self.outliers_of(other).check(other)
-        return other
+    def check_noise(self, sensor: Sensor, noise: Tensor | None) -> None:
+        """Checks that noise is independent between the blocks of a sensor."""
+        outliers = self.outliers_of(sensor)
+        if noise is None:
+            outliers.check(sensor)
+        else:
+            outliers.check_noise("noise", noise)
 
     def outliers_of(self, sensor: Sensor) -> Outliers:
         """The outliers of a sensor: of another than the filter's own with its blocks."""

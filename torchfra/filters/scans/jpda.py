@@ -20,7 +20,6 @@ from torchfra.association.gates import Candidates, Gate
 from torchfra.association.joint import associate
 from torchfra.filters.around import Around
 from torchfra.filters.base import Filter
-from torchfra.filters.gpb import GPB
 from torchfra.filters.scans.combined import combined, fade, learn_noise, update
 from torchfra.filters.scans.lost_tracks import inflated, log_miss, log_unseen, lost_inflation, missed_scans
 from torchfra.filters.scans.merging import check_merges
@@ -34,7 +33,7 @@ from torchfra.filters.scans.scan import (
 from torchfra.filters.scans.separate import core, inflated_state, merge_hypotheses, step_measured, step_missed
 from torchfra.filters.soft import Soft
 from torchfra.filters.srckf import SRCKF, State
-from torchfra.gaussian.inputs import BackwardStep, CompleteScans, Frame, Measurements, make_frames, value_batches
+from torchfra.gaussian.inputs import BackwardStep, CompleteScans, Frame, Measurements, make_frames
 from torchfra.gaussian.update import density, innovation
 from torchfra.hyper import Hyper, Value, hypers
 from torchfra.linalg.tracing import is_traced
@@ -323,18 +322,6 @@ class JPDA(Soft, Around[JPDAState]):
         repaired = None if smoothed.repaired is None else smoothed.repaired.squeeze(-1)
         smoothed = Smoothed(tree.remove_batch_dimension(smoothed.belief), repaired=repaired)
         return smoothed.belief, smoothed
-
-    def _batch(self, measurements: Measurements, prior: Gaussian, name: str = "prior") -> torch.Size:
-        """The batch of scenes of the arguments, checked; targets are no part of it."""
-        batch = super()._batch(measurements, prior, name)
-        if isinstance(self.inner, GPB):
-            self.inner.outliers.check_noise("noise", measurements.noise)
-        count = prior.mean.shape[-2]
-        for path, values in value_batches(self).items():
-            if values[-1] not in (1, count):
-                expected = f"a value for each of {count} targets or one for all"
-                raise ValueError(f"{path}: expected {expected}, received {tuple(values)}")
-        return batch
 
     def _frames(self, measurements: Measurements, rank: int) -> tuple[list[Frame], Tensor]:
         """A frame of measurements ``(..., 1, J)`` for each step, and the log norms of the noise, time first."""
