@@ -19,7 +19,6 @@ from torchfra.linalg.tracing import elementary
 from torchfra.motion import ConstantVelocity
 from torchfra.sensors import Position
 from torchfra.steps import engine
-from torchfra.testing import check_filter
 from torchfra.types import Gaussian
 
 PRIOR = flat_prior((0.0, 0.0), (6.0, 3.0))
@@ -141,13 +140,6 @@ def test_gradients_are_finite_where_the_tail_beyond_a_soft_gate_is_no_normal_num
     ]
     assert all(x.isfinite().all() for x in gradients[1])
     close(*gradients)
-
-
-@pytest.mark.slow
-def test_compiled_filters_of_scans_keep_what_filters_promise():
-    z, prior = scans(steps=6, count=2)
-    report = check_filter(plane(), z=z, prior=prior)
-    assert [outcome.reason for outcome in report.of("skipped")] == ["it is for filters of one target and one motion"]
 
 
 INNER = {

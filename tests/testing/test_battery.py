@@ -8,6 +8,7 @@ from functools import partial
 import pytest
 import torch
 from gpb_cases import ANCHORS, FEWER, PRIOR, VALUES, measured
+from joint import plane
 from refusals import asked  # noqa: F401  a fixture
 from short_tracks import SMALL_GPB
 
@@ -32,7 +33,7 @@ from torchfra.types import Gaussian
 
 ELSEWHERE = {
     "imm_ckf": "imm_srckf by another name", "imm_fra": "as imm_srckf and fra", "hghckf1": "as hghckf2, decided once",
-    "jpda": "compiled too: test_compiled_scans.py", "ukf_jpda": "as iaukf_jpda, whose noise is estimated besides",
+    "jpda": "compiled too, below", "ukf_jpda": "as iaukf_jpda, whose noise is estimated besides",
 }  # fmt: skip
 """Filters that are made of what others of the battery have, or go through it in another file."""
 NAMES = [name for name in FILTERS if name not in ELSEWHERE]
@@ -126,12 +127,15 @@ SETTINGS = {
     "level of the acceleration": lambda: presets.srckf(CurrentStatistical(0.3, 2.0, negative_limit=3.0), SENSOR),
     "differences of times": lambda: presets.srckf(MOTION, TimeDifferences(ANCHORS, 0.3)),
     "ranges": lambda: presets.srckf(ConstantAcceleration(0.3), Ranges(ANCHORS, 0.15)),
+    "two targets": plane,
     "models of targets": lambda: presets.jpda(BANK, SENSOR, inner=presets.imm, lost=1e-2, **SCANS),
     "regimes of targets": lambda: presets.jpda(MOTION, SENSOR, inner=partial(presets.gpb, **FEWER), **SCANS),
     "soft gates of targets": lambda: presets.iaukf_jpda(MOTION, SENSOR, lost=0.0, gate=Euclidean(60.0), **SCANS),
     "soft gates of a probability": lambda: presets.iaukf_jpda(MOTION, SENSOR, gate=ChiSquare(0.9), **SCANS),
 }
-OF_KERNELS = ("three soft branches", "rows of transitions", "durations", "soft gains", "errors that last")
+OF_KERNELS = (
+    "three soft branches", "rows of transitions", "durations", "soft gains", "errors that last", "two targets",
+)  # fmt: skip
 
 
 @pytest.mark.slow
