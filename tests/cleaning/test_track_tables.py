@@ -12,7 +12,7 @@ from cleaned_tracks import FOUND, geodetic, straight
 from torchfra.cleaning import outputs
 from torchfra.cleaning.outputs import csv_table, parquet
 from torchfra.cleaning.outputs.course import course
-from torchfra.cleaning.outputs.summary import notes, overview, sentences, settings_lines, summary
+from torchfra.cleaning.outputs.summary import MANY, UNLIKELY, notes, overview, sentences, settings_lines, summary
 from torchfra.cleaning.outputs.table import UNITS, columns
 from torchfra.geodesy import to_geodetic
 from torchfra.readers.recording import Source
@@ -239,3 +239,9 @@ def test_lengths_are_in_the_unit_that_fits(value, text):
 ])  # fmt: skip
 def test_times_are_in_the_unit_that_fits(value, text):
     assert duration(value) == text
+
+
+@pytest.mark.parametrize(("rejected", "said"), [(3, set()), (4, {MANY}), (13, {MANY}), (14, {UNLIKELY})])
+def test_from_a_tenth_of_the_fixes_on_rejections_are_said_to_be_many(rejected, said):
+    cleaned = straight(40, rejected=range(rejected))
+    assert {MANY, UNLIKELY} & set(sentences(cleaned)) == said

@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from conftest import PRESETS
 
 from torchfra import Cause, Gaussian, learnable, presets
 from torchfra.adaptive import SageHusa
@@ -134,3 +135,13 @@ def test_gradients_of_fading_factors_are_finite_in_any_unit(unit):
     ((estimate.mean / unit).square().sum() + estimate.log_likelihood.sum()).backward()
     assert z.grad.isfinite().all()
     assert all(p.grad.isfinite().all() for p in f.parameters() if p.grad is not None)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_no_initial_uncertainty_has_finite_gradients(name, make, tracks):
+    f = make(name, learn=("q", "std"))
+    prior = Gaussian(tracks.prior.mean, torch.zeros_like(tracks.prior.scale_tril))
+    e = f(tracks.z, prior, u=tracks.u)
+    assert not e.failed.any()
+    e.mean.square().mean().backward()
+    assert all(p.grad.isfinite().all() for p in f.parameters())

@@ -1,5 +1,8 @@
 """What a fit says of its own certainty is so: exact Hessians, intervals that cover, values that tracks do not tell."""
 
+import json
+
+import certainty
 import pytest
 import torch
 from test_fit import PRIOR, QUICK, STD, Q, start, walks
@@ -208,3 +211,14 @@ def coverage(sets, runs, steps, seed):
 def test_intervals_cover_the_true_values_in_95_of_100_fits():
     for share in coverage(sets=100, runs=25, steps=20, seed=12):
         assert 0.90 <= share <= 0.98
+
+
+@pytest.mark.slow
+def test_errors_of_whole_fits_are_as_large_as_they_say(tmp_path, capsys):
+    small = ["--fits", "12", "--tracks", "24", "--steps", "10", "--iterations", "4"]
+    assert certainty.main([*small, "--json", str(tmp_path / "c.json")]) == 0
+    found = json.loads((tmp_path / "c.json").read_text())["values"]
+    for of in found.values():
+        assert of["inside"] >= 9 / 12  # of intervals that hold in 95 of 100, fewer do once in 5000
+        assert 0.45 < of["rms"] < 1.7  # 99.9 % of the roots of mean squares of 12 normal numbers
+    assert "12 fits" in capsys.readouterr().out

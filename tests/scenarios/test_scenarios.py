@@ -64,3 +64,12 @@ def test_every_filter_that_goes_with_a_scenario_is_made_around_its_models(name):
         names = filters_for(scenario)
         assert list(scenario_filters(names, scenario)) == names
         assert len(names) > 1
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_a_scenario_is_shown_in_some_lines(name):
+    shown = str(make_scenario(name))
+    assert name in shown
+    assert "motion=" in shown
+    assert "sensor=" in shown
+    assert len(shown.splitlines()) < 80
