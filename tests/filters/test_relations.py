@@ -13,8 +13,9 @@ import torch
 from torchfra import Gaussian
 from torchfra.association import Clutter, Euclidean
 from torchfra.catalogue import FILTERS
-from torchfra.motion import Bank, ConstantVelocity
+from torchfra.motion import Bank, ConstantVelocity, Linear
 from torchfra.presets.regimes import MANOEUVRES
+from torchfra.sensors import Linear as LinearSensor
 from torchfra.sensors import Position
 
 RUNS, STEPS, TARGETS = 3, 10, 2
@@ -27,6 +28,11 @@ ROTATED = (
     "ekf", "ukf", "srckf", "ghckf", "imm", "imm_srckf", "imm_ckf", "vsimm_srckf", "ukf_jpda", "jpda", "gpb", "asrckf",
 )  # fmt: skip
 """Others weigh each element of a measurement, or estimate its noise, by itself."""
+ANY_STATE = [
+    name for name, entry in FILTERS.items() if not entry.scans and not entry.constant_gains and name != "hghckf1"
+]
+"""Those of scans and of constant gains need positions.  ``hghckf1`` weighs the prediction by elements, as the lower root
+of its covariance whitens them: the first alone, the last given all others."""
 ONE_MOTION = ("ekf", "ukf", "srckf", "ghckf", "rsrckf", "mr_ckf", "hghckf1", "hghckf2", "hghckf")
 """The others remember time by steps: chains of modes, fading memories and counts."""
 LINEAR = ("ekf", "ukf", "srckf", "ghckf")
@@ -42,12 +48,19 @@ class Problem:
     length: float = 1.0
     time: float = 1.0
     dt: float | torch.Tensor = 1.0
+    order: tuple[int, ...] | None = None
+    """Of the state's components, which then have no names; by default positions and velocities."""
 
     def filter(self, name, **options):
         """The preset for what is stated in these units."""
         entry, area = FILTERS[name], self.length**2
         calm, agile = (ConstantVelocity(q * area / self.time**4) for q in (0.04, 4.0))
         sensor = Position(2.0 * self.length)
+        if self.order is not None:
+            order, step = list(self.order), torch.tensor(self.dt).double()
+            transition, noises = calm.transition(step)[order][:, order], [m.process_noise(step) for m in (calm, agile)]
+            calm, agile = (Linear(transition, root=root[order]) for root in noises)
+            sensor = LinearSensor(torch.eye(2, 4)[:, order], 4.0)
         if entry.scans:
             options |= {"clutter": Clutter(volume=1e5 * area, rate=3.0), "detection": 0.9}
             if name != "jpda":
@@ -69,6 +82,8 @@ class Problem:
     def run(self, f):
         """The estimate; of a filter for scans, of its scans."""
         root = (torch.tensor([5.0, 5.0, 3.0, 3.0]).double() * self.units).diag()
+        if self.order is not None:
+            root = root[list(self.order)]
         with torch.no_grad():
             return f(self.z, Gaussian(self.mean, root.expand(*self.mean.shape, 4)), dt=self.time * self.dt)
 
@@ -160,6 +175,22 @@ def test_axes_may_be_turned_where_measurements_are_weighed_as_a_whole(name):
     (p, whole), (c, s) = told(name), (math.cos(2.5), math.sin(2.5))
     turn = torch.block_diag(*[torch.tensor([[c, -s], [s, c]], dtype=torch.float64)] * 2)
     same(whole, replace(p, z=p.z @ turn[:2, :2].T, mean=p.mean @ turn.T).run(p.filter(name)), p.units, turn=turn)
+
+
+@pytest.mark.parametrize("name", ANY_STATE)
+def test_components_of_the_state_may_be_in_any_order(name):
+    p, order = replace(problem(1), order=(0, 1, 2, 3)), [3, 1, 0, 2]
+    other = replace(p, mean=p.mean[:, order], order=tuple(order))
+    whole = p.run(p.filter(name))
+    whole = whole._replace(mean=whole.mean[..., order], scale_tril=whole.scale_tril[..., order, :])
+    same(whole, other.run(other.filter(name)), p.units[order])
+
+
+def test_the_order_of_components_counts_where_a_prediction_is_weighed_by_elements():
+    p, order = replace(problem(1), order=(0, 1, 2, 3)), [3, 1, 0, 2]
+    other = replace(p, mean=p.mean[:, order], order=tuple(order))
+    whole, swapped = (x.run(x.filter("hghckf1")).mean for x in (p, other))
+    assert (whole[..., order] - swapped).abs().max() > 1.0
 
 
 @every
