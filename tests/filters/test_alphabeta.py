@@ -104,6 +104,17 @@ def test_what_is_not_stable_is_refused():
         AlphaBeta(LINE, SENSOR, Gains(tensor(0.5).squeeze(), tensor(3.2).squeeze()))
 
 
+def test_three_gains_are_stable_where_errors_decay():
+    g, seen = np.random.default_rng(0), set()
+    for alpha, beta, gamma in g.uniform([0, 0, 0], [2.0, 2.0, 1.0], (60, 3)):
+        column = np.array([[alpha], [beta], [gamma / 2]])
+        errors = (np.eye(3) - column @ [[1.0, 0, 0]]) @ [[1.0, 1, 0.5], [0, 1, 1], [0, 0, 1]]
+        decay = np.abs(np.linalg.matrix_power(errors, 512)).max() < 1.0
+        assert gains.stable(Gains(*tensor(alpha, beta, gamma))) == decay
+        seen.add(decay)
+    assert seen == {True, False}
+
+
 # ---------------------------------------------------------------- the bank
 
 OPTIONS = {"manoeuvre": 3.5, "outlier": 10.0, "level_shares": [60 / 70], "margin": 3.6}

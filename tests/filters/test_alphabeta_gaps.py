@@ -104,6 +104,22 @@ def test_the_std_is_that_of_the_errors_at_steps_with_and_without_measurements(ma
     assert gap[-1] > 2 * gap[0]
 
 
+@pytest.mark.parametrize("motion", [LINE, ConstantAcceleration(1.0, 1)])
+def test_what_was_lost_for_longer_than_the_longest_gap_may_be_anywhere_and_restarts(motion):
+    f = presets.alphabeta(motion, SENSOR, max_gap=10.0)
+    z = 100 * torch.arange(50, dtype=torch.float64)
+    z[20:40] = torch.nan
+    std = torch.tensor([500.0, 300.0, 5.0]).double()[: motion.orders]
+    e = f(z[:, None], Gaussian(torch.zeros(motion.orders).double(), std.diag()))
+    kept, lost = e.scale_tril[29], e.scale_tril[30:40]
+    assert kept[0].norm() < 2 * 20.0
+    since = torch.arange(11, 21).double()  # at the speed of the prior, since the last measurement
+    torch.testing.assert_close(lost[:, 0, 0], since * 300.0)
+    torch.testing.assert_close((lost @ lost.mT)[:, 1:, 1:], std[1:].square().diag().expand(10, -1, -1))
+    torch.testing.assert_close((lost @ lost.mT)[:, 0, 1], since * 300.0**2)
+    assert e.info.restarted[:, 0].nonzero()[:, 0].tolist() == [40]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("sigma", [1.0, 30.0])
 def test_track_knows_how_sure_it_is_between_fixes(sigma):

@@ -31,8 +31,8 @@ ROTATED = (
 ANY_STATE = [
     name for name, entry in FILTERS.items() if not entry.scans and not entry.constant_gains and name != "hghckf1"
 ]
-"""Those of scans and of constant gains need positions.  ``hghckf1`` weighs the prediction by elements, as the lower root
-of its covariance whitens them: the first alone, the last given all others."""
+"""Those of scans and of constant gains need positions.  ``hghckf1`` weighs the prediction by elements, as the lower
+root of its covariance whitens them: the first alone, the last given all others."""
 ONE_MOTION = ("ekf", "ukf", "srckf", "ghckf", "rsrckf", "mr_ckf", "hghckf1", "hghckf2", "hghckf")
 """The others remember time by steps: chains of modes, fading memories and counts."""
 LINEAR = ("ekf", "ukf", "srckf", "ghckf")

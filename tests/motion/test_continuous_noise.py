@@ -1,6 +1,8 @@
 """Process noise of a density is its integral, to many digits and in the precision of the step."""
 
 import math
+from functools import partial
+from itertools import permutations
 
 import mpmath
 import pytest
@@ -11,6 +13,7 @@ from torchfra.motion import (
     ConstantVelocity,
     CoordinatedTurn,
     Singer,
+    UnknownTurn,
     WhiteJerk,
     aircraft,
     people,
@@ -64,6 +67,28 @@ def test_white_noise_has_its_closed_form():
 def test_the_form_of_the_papers_stays_the_default():
     root = ConstantVelocity(4.0, 1).process_noise(torch.tensor(3.0, dtype=torch.float64))
     torch.testing.assert_close(root, 2 * torch.tensor([[4.5], [3.0]], dtype=torch.float64))
+    x, dt = torch.tensor([0.0, 0.0, 7.0, 0.0, 0.3]).double(), torch.tensor(1.0).double()
+    for make in (aircraft, ships, vehicles, people, partial(CoordinatedTurn, 0.3, 1.0), partial(UnknownTurn, 1.0, 0.1)):
+        usual, constant, white = (make(**options) for options in ({}, {"continuous": False}, {"continuous": True}))
+        usual, constant, white = (
+            m.process_noise_at(m.process_noise(dt), x[: m.size], dt) for m in (usual, constant, white)
+        )
+        assert usual.equal(constant)
+        assert usual.shape != white.shape or not usual.equal(white)
+
+
+@pytest.mark.parametrize("make", [aircraft, ships, vehicles, people])
+def test_banks_are_the_same_from_either_side_and_every_manoeuvre_leads_back_to_straight_flight(make):
+    bank = make()
+    other = list(range(len(bank)))  # of each motion, that which turns the other way
+    for i, j in permutations(other, 2):
+        if isinstance(bank[i], CoordinatedTurn) and isinstance(bank[j], CoordinatedTurn):
+            other[i] = j if bank[i].rate() == -bank[j].rate() else other[i]
+    for i, those in enumerate(bank.neighbours):
+        assert {other[j] for j in those} == set(bank.neighbours[other[i]])
+        assert i not in those
+        assert 0 in {i, *those, *(k for j in those for k in bank.neighbours[j])}
+    assert {other[i] for i in bank.first} == set(bank.first)
 
 
 @pytest.mark.parametrize("make", [aircraft, ships, vehicles, people])
