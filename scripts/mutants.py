@@ -163,8 +163,10 @@ def place(node: ast.AST, field: str, i: int, part: ast.AST) -> None:
 
 
 def is_text(node: ast.AST) -> bool:
-    """Whether this is a docstring, an import or the list of public names."""
+    """Whether this is a docstring, an import, the list of public names or an assertion that lists are as long."""
     if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "__all__":
+        return True
+    if isinstance(node, ast.keyword) and node.arg == "strict":
         return True
     is_string = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
     return is_string or isinstance(node, (ast.Import, ast.ImportFrom))

@@ -172,6 +172,18 @@ def test_the_vote_is_the_majority_of_three():
         assert bool(after.manoeuvre.item()) == (older + old + new >= 2)
 
 
+def test_by_range_and_azimuth_a_track_is_decided_as_its_mirror_image():
+    t, mirror = torch.arange(60, dtype=torch.float64), tensor(1, -1)
+    z = torch.stack([1e4 + 50 * t, 20 * t + 5 * (t - 30).clamp_min(0).square()], -1)
+    z[15, 1] += 900.0  # beside the course, at the same range
+    f = presets.alphabeta(ConstantVelocity(1.0, 2), Position(20.0), detect="polar")
+    prior = Gaussian(torch.zeros(4).double(), torch.eye(4).double())
+    one, other = f(z, prior), f(z * mirror, prior)
+    torch.testing.assert_close(one.mean[:, [1, 3]], -other.mean[:, [1, 3]])
+    assert one.info.rejected[:, 0].nonzero()[:, 0].tolist() == [15]
+    assert one.info.manoeuvre.any()
+
+
 @pytest.mark.slow
 def test_soft_choices_become_hard_ones_and_have_gradients():
     motion, sensor = ConstantAcceleration(1.0, 3), Position(20.0, dims=3)

@@ -29,7 +29,7 @@ from torchfra.linalg import (
 )
 from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.tracing import elementary
-from torchfra.linalg.triangular import block_diagonal, eliminated, marginal_root, split, tria_of_update
+from torchfra.linalg.triangular import block_diagonal, dependent, eliminated, marginal_root, split, tria_of_update
 
 torch.manual_seed(0)
 
@@ -389,6 +389,12 @@ def test_a_row_that_depends_on_those_above_is_found_in_columns_of_any_scale():
     a[2, 0] = 1e9
     *_, dependent = eliminated(a, 3, 48 * torch.finfo(torch.float32).eps, graded=True)
     assert dependent.tolist() == [False, True, False]
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+def test_a_row_depends_on_those_above_it_in_every_unit(unit):
+    root = torch.tensor([[1.0, 0, 0], [1.0, 1e-18, 0], [0.5, 0.0, 1e-6]], dtype=torch.float64)
+    assert dependent(unit * root, 3).tolist() == [False, True, False]
 
 
 def test_what_is_left_of_rows_has_nothing_along_those_taken_out_however_alike_they_are():

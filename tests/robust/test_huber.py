@@ -14,7 +14,7 @@ from torchfra import presets
 from torchfra.filters import SRCKF
 from torchfra.gaussian import fifth_degree, third_degree
 from torchfra.motion import ConstantAcceleration, Motion
-from torchfra.robust import HuberRegression, HuberScore
+from torchfra.robust import HuberRegression, HuberScore, ThreeSegment
 from torchfra.scenarios import bearings_outliers, growth, reentry
 from torchfra.sensors import Position
 from torchfra.types import Gaussian
@@ -263,6 +263,7 @@ def test_an_infinite_threshold_has_finite_gradients_in_a_bank():
         (lambda: HuberScore(eps=1.0), "eps"),
         (lambda: HuberScore(0.0), "threshold: expected a value above 0"),
         (lambda: HuberRegression(max_iter=0), "max_iter"),
+        (lambda: ThreeSegment(2.0, 2.0), "high: expected a value above low"),
         (lambda: growth("offset"), "outliers"),
         (lambda: growth(size=0.5), "size, share"),
         (lambda: reentry(radar="laser"), "radar"),

@@ -54,7 +54,7 @@ def sum_over_sets(scans: GatedScans) -> Association:
     log_sum = torch.where(best > 0.1 * _IMPOSSIBLE, best + safe_log(total), -torch.inf)
     probability, evidence = _of_sets(scans, log_sum)
     missed = [_pairs(probability, t)[0].sum((-2, -1)) for t in range(targets)]
-    adjoint = torch.where(probability > 0, probability / torch.where(probability > 0, total, 1.0), 0.0)
+    adjoint = probability / torch.where(probability > 0, total, 1.0)
     columns = []
     for step in reversed(steps):
         adjoint, measured = step.back(adjoint)
