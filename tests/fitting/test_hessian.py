@@ -21,6 +21,14 @@ def test_it_is_that_of_a_function_whose_second_derivatives_are_known():
     assert x.tolist() == [0.3, -1.2]
 
 
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+def test_steps_are_shares_of_large_numbers_and_no_smaller_than_those_of_one(size):
+    x = parameter(size)
+    found = hessian(lambda: x.log1p().sum(), [x])
+    assert found.matrix.item() == pytest.approx(-((1 + size) ** -2), rel=1e-7)
+    assert abs(found.matrix.item() + (1 + size) ** -2) < found.error.item() + 1e-9 * (1 + size) ** -2
+
+
 @pytest.mark.slow
 def test_of_a_compiled_filter_it_is_that_of_the_filter(make, tracks):
     found = []
