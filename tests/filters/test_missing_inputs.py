@@ -1,5 +1,6 @@
 """A NaN in ``u`` that nothing measured needs is no error: satellites that are gone have no position."""
 
+import pytest
 import torch
 
 from torchfra import presets
@@ -50,6 +51,14 @@ def test_steps_and_kernels_do_not_need_it_either():
         state, _ = f.step(state, z[k], u=u[k])
     torch.testing.assert_close(state.belief.mean, whole.mean[-1], rtol=1e-9, atol=1e-6)
     torch.testing.assert_close(f.compile()(z, prior, u=u).mean, whole.mean, rtol=1e-9, atol=1e-6)
+
+
+def test_a_measurement_that_does_not_fit_is_named_beside_it_too():
+    motion, sensor, z, u, prior = satellites()
+    f, z, u = presets.srckf(motion, sensor), z[:, :-1], gone(u)
+    for call in (lambda: f(z, prior, u=u), lambda: f.step(f.init(prior), z[-1], u=u[-1])):
+        with pytest.raises(ValueError, match="z: expected"):
+            call()
 
 
 def test_a_track_fails_where_what_is_measured_needs_it():

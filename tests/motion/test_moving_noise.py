@@ -16,10 +16,12 @@ from torchfra.motion import (
     ConstantSpeed,
     GaussMarkov,
     IntegratedOrnsteinUhlenbeck,
+    Level,
     Odometry,
     RandomWalk,
     Singer,
     UnknownTurn,
+    WhiteJerk,
 )
 from torchfra.sensors import Position
 
@@ -181,6 +183,24 @@ def test_walks_and_clocks_have_their_known_noise():
     steady = tensor([0.3 * STEP + 0.02 * STEP**3 / 3, 0.02 * STEP**2 / 2], [0.02 * STEP**2 / 2, 0.02 * STEP])
     torch.testing.assert_close(covariance(Clock(0.3, 0.02)), steady)
     assert Clock(0.3, 0.02).transition(torch.tensor(STEP).double()).tolist() == [[1, STEP], [0, 1]]
+
+
+def test_an_unknown_turn_has_the_noise_of_a_straight_step_and_of_its_rate():
+    straight = torch.kron(tensor([STEP**4 / 4, STEP**3 / 2], [STEP**3 / 2, STEP**2]), 0.7 * torch.eye(2).double())
+    expected = torch.block_diag(straight, tensor([0.02 * STEP**2]))
+    torch.testing.assert_close(covariance(UnknownTurn(0.7, 0.02), mean=tensor(1, 2, 10, -5, 0.4)), expected)
+
+
+@pytest.mark.parametrize("make", [
+    lambda x: UnknownTurn(0.7 * x, 0.02 * x), lambda x: UnknownTurn(0.7 * x, 0.02 * x, continuous=True),
+    lambda x: Bicycle(2.7, 0.7 * x, 0.02 * x), lambda x: Bicycle(2.7, 0.7 * x, 0.02 * x, continuous=True),
+    lambda x: ConstantSpeed(0.7 * x, 0.02 * x), lambda x: ConstantSpeed(0.7 * x, 0.02 * x, continuous=True),
+    lambda x: Level(UnknownTurn(0.7 * x, 0.02 * x), 0.3 * x), lambda x: Odometry(0.1 * x, 0.02 * x, 1e-3 * x),
+    lambda x: Singer(0.7 * x, 0.2), lambda x: WhiteJerk(0.7 * x), lambda x: GaussMarkov(0.7 * x**0.5, 5.0),
+], ids=lambda make: make(1.0).describe())  # fmt: skip
+def test_values_of_process_noise_are_variances(make):
+    mean = tensor(1, 2, 10, 0.4, 0.1, 3)[: make(1.0).size]
+    torch.testing.assert_close(covariance(make(9.0), mean=mean), 9 * covariance(make(1.0), mean=mean))
 
 
 @pytest.mark.parametrize("time", [1e-3, 2.0, 1e9])
