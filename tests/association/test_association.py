@@ -124,6 +124,14 @@ def test_targets_that_share_measurements_directly_or_through_others_are_a_cluste
     assert torch.equal(same_cluster(gated), expected)
 
 
+@pytest.mark.parametrize("targets", [1, 2, 3, 5, 6, 9, 17, 18])
+def test_a_chain_of_targets_is_one_cluster_however_long(targets):
+    gated = torch.ones(targets, targets, dtype=torch.bool).tril().triu(-1)  # its own measurement and the one before
+    assert same_cluster(gated).all()
+    gated[targets // 2 :, : targets // 2] = False
+    assert same_cluster(gated).sum() == (targets // 2) ** 2 + (targets - targets // 2) ** 2
+
+
 def test_the_order_of_targets_and_measurements_does_not_matter():
     L, c = random_scan(np.random.default_rng(3), 4, 6)
     straight = associate(log_ratio(L, 0.9, c), math.log(0.1)).log_weights

@@ -117,6 +117,17 @@ def test_three_gains_are_stable_where_errors_decay():
 
 # ---------------------------------------------------------------- the bank
 
+
+def test_flags_are_raised_at_three_standard_deviations_of_the_slowest_filters_residual():
+    f = AlphaBetaBank(LINE, SENSOR)
+    slowest = AlphaBeta(LINE, SENSOR, Gains(f.alpha()[-1], f.beta()[-1]))
+    e = slowest(torch.zeros(3000, 1).double(), PRIOR)
+    predicted = torch.tensor([[1.0, 1], [0, 1]]).double() @ e.scale_tril[-1]
+    residual = (1 + predicted[0].square().sum() / 400).sqrt()
+    assert f.manoeuvre().item() == pytest.approx(3 * residual.item(), rel=1e-6)
+    assert f.outlier().item() == pytest.approx(3 * f.manoeuvre().item())
+
+
 OPTIONS = {"manoeuvre": 3.5, "outlier": 10.0, "level_shares": [60 / 70], "margin": 3.6}
 
 

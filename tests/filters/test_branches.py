@@ -3,6 +3,7 @@
 import pytest
 import torch
 from conftest import without_acceleration
+from scipy.stats import chi2, norm
 
 from torchfra import metrics, presets, scenarios
 from torchfra.hyper import hypers
@@ -48,6 +49,13 @@ def test_a_plain_branch_that_always_wins_makes_the_plain_filter(make, poor):
     torch.testing.assert_close(e.info.provisional.mean, expected.mean, rtol=1e-9, atol=1e-6)
     assert e.info.abnormal.any()
     assert (e.info.plain == e.info.abnormal).all()
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 6])
+def test_a_step_is_far_off_beyond_what_one_in_fifteen_hundred_exceeds(make, size):
+    f, limit = make("fra"), chi2.isf(norm.sf(3.2), size)
+    excess = torch.tensor([0.95 * limit, 1.2 * limit], dtype=torch.float64)  # of one element alone it is 17 % more
+    assert f.is_far(excess - f.gate(excess), size).tolist() == [False, True]
 
 
 @pytest.mark.slow

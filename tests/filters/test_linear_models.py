@@ -340,6 +340,7 @@ def test_while_traced_a_covariance_of_any_rank_has_its_root_and_what_is_none_has
         (lambda: presets.srckf(Linear(F[0], Q[0]), sensors.Linear(H, R))(Z, PRIOR), r"u: .*sensor\.inputs\(\)"),
         (lambda: presets.srckf(Linear(F[0], Q[0], B=B), sensors.Linear(H[0], R))(Z, PRIOR), r"u: expected \(.*, 1\)"),
         (lambda: sensors.cross_correlated(F[0], np.eye(3), H[0], R, 5 * np.ones((3, 2))), r"Q, S, R: expected a symm"),
+        (lambda: sensors.cross_correlated(F[0], np.eye(3), H[0, 0], R, np.ones((3, 2))), r"H: expected a matrix"),
         (lambda: sensors.cross_correlated(F[0], np.eye(3), H[0], R, np.ones((2, 3))), r"S: expected \(3, 2\)"),
     ],
 )  # fmt: skip

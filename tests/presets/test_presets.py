@@ -202,3 +202,4 @@ def test_an_outlier_is_a_probability_whatever_the_filter_decides():
         assert outlier.shape == (12, 1) or name == "alphabeta"
         assert outlier[7].min() > 0.99
         assert outlier[:6].max() < 0.01
+        assert getattr(presets, name)(motion, sensor)(z.expand(3, -1, -1), prior).info.outlier[2].allclose(outlier)

@@ -63,7 +63,7 @@ def same_cluster(gated: Tensor) -> Tensor:
     targets = gated.shape[-2]
     shared = gated.to(torch.float32) @ gated.mT.to(torch.float32)
     linked = (shared > 0) | torch.eye(targets, dtype=torch.bool, device=gated.device)
-    for _ in range(max(targets - 1, 1).bit_length()):  # each squaring doubles the length of the paths
+    for _ in range(max(targets - 2, 0).bit_length()):  # each squaring doubles the length of the paths
         linked = (linked.to(torch.float32) @ linked.to(torch.float32)) > 0
     return linked
 
