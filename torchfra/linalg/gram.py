@@ -126,7 +126,7 @@ def _left_singular(h: Tensor) -> tuple[Tensor, Tensor]:
     m = h.shape[-2]
     if not (is_elementary() or ((h.is_cuda or torch.compiler.is_compiling()) and m <= 3)):
         u, sigma, _ = torch.linalg.svd(h, full_matrices=True)
-        return u, pad(sigma.square(), (0, max(m - sigma.shape[-1], 0)))[..., :m]
+        return u, pad(sigma.square(), (0, m))[..., :m]
     # One-sided Jacobi: pairs of rows are rotated until all are orthogonal; the product of the rotations is u^T.
     rotations = torch.eye(m, dtype=h.dtype, device=h.device).expand((*h.shape[:-1], m))
     for _ in range(2 if m == 2 else min(m + 2, 8)):  # one more than the worst of 300,000 matrices of 3 to 5 rows needs
