@@ -92,6 +92,19 @@ def test_gradients_of_both_orders_are_exact(shape):
     assert torch.autograd.gradgradcheck(tria, a)
 
 
+@pytest.mark.parametrize("zero", [None, 0, 2, 3])
+@pytest.mark.parametrize("shape", [(4, 7), (4, 4), (2, 4, 3)])
+def test_derivatives_forwards_are_those_backwards(shape, zero):
+    a, direction, weights = random(*shape), random(*shape, seed=1), random(4, 4, seed=2)
+    if zero is not None:
+        a[..., zero, :], direction[..., zero, :] = 0, 0
+    lower, rate = torch.func.jvp(tria, (a,), (direction,))
+    torch.testing.assert_close(lower, tria(a))
+    assert (rate.triu(1) == 0).all()
+    (gradient,) = torch.autograd.grad((tria(a.requires_grad_()) * weights).sum(), a)
+    torch.testing.assert_close((rate * weights).sum(), (gradient * direction).sum())
+
+
 @pytest.mark.parametrize("row", range(5))
 def test_the_gradient_is_exact_beside_a_zero_row_and_a_zero_column(row):
     a, direction = random(5, 8), random(5, 8, seed=1)
