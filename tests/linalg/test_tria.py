@@ -92,12 +92,11 @@ def test_gradients_of_both_orders_are_exact(shape):
     assert torch.autograd.gradgradcheck(tria, a)
 
 
-@pytest.mark.parametrize("zero", [None, 0, 2, 3])
+@pytest.mark.parametrize(("row", "times"), [(0, 1.0), (0, 0.0), (2, 0.0), (1, -2.0), (2, 3.0)])
 @pytest.mark.parametrize("shape", [(4, 7), (4, 4), (2, 4, 3)])
-def test_derivatives_forwards_are_those_backwards(shape, zero):
+def test_derivatives_forwards_are_those_backwards(shape, row, times):
     a, direction, weights = random(*shape), random(*shape, seed=1), random(4, 4, seed=2)
-    if zero is not None:
-        a[..., zero, :], direction[..., zero, :] = 0, 0
+    a[..., row, :], direction[..., row, :] = times * a[..., 0, :], times * direction[..., 0, :]
     lower, rate = torch.func.jvp(tria, (a,), (direction,))
     torch.testing.assert_close(lower, tria(a))
     assert (rate.triu(1) == 0).all()
