@@ -32,6 +32,12 @@ Z = torch.zeros(6, 2).double()
         (lambda f: SRCKF(MOTION, SENSOR, robust=Fading()), r"robust: expected Robust .*received Fading"),
         (lambda f: FRA(MOTION, SENSOR, robust=HuberScore(), fading=Fading()), r"robust: .*received HuberScore"),
         (lambda f: Gaussian.from_covariance(torch.zeros(2), -torch.eye(2)), r"covariance: expected a symmetric"),
+        (lambda f: f.step(PRIOR, Z[0]), r"state: expected what init or step has returned, received Gaussian"),
+        (lambda f: f.step(presets.fra(MOTION, SENSOR).init(PRIOR), Z[0]), r"state: .* this SRCKF .* a FRAState"),
+        (lambda f: presets.fra(MOTION, SENSOR).step(f.init(PRIOR), Z[0]), r"state: .* this FRA .* received a State"),
+        (lambda f: presets.iaukf(MOTION, SENSOR).step(f.init(PRIOR), Z[0]), r"state: .* this SRCKF .* another filter"),
+        (lambda f: f.step(f.init(PRIOR)._replace(belief=Gaussian([0.0] * 4, PRIOR.scale_tril)), Z[0]),
+         r"state.belief.mean: expected a tensor, received list"),
     ],
 )  # fmt: skip
 def test_what_is_not_of_its_kind_is_named(call, message):
