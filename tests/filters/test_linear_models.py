@@ -302,6 +302,15 @@ def test_a_covariance_of_any_rank_has_a_root_and_what_is_none_is_refused():
         covariance_root(several)
 
 
+def test_a_root_does_not_depend_on_the_other_covariances_of_its_batch():
+    half = torch.from_numpy(np.random.default_rng(0).standard_normal((4, 6)))
+    regular, singular = half @ half.mT, half[:, :2] @ half[:, :2].mT
+    root = covariance_root(torch.stack([regular, singular, torch.diag(torch.tensor([4.0, 0, 1, 0]).double())]))
+    assert root[0].equal(torch.linalg.cholesky(regular))
+    assert root[2].equal(torch.diag(torch.tensor([2.0, 0, 1, 0]).double()))
+    torch.testing.assert_close(root[1] @ root[1].mT, singular)
+
+
 def test_while_traced_a_covariance_of_any_rank_has_its_root_and_what_is_none_has_nan():
     half = np.random.default_rng(0).standard_normal((4, 2))
     for covariance in (half @ half.T, np.diag([4.0, 0.0, 1.0, 0.0]), np.eye(3), np.diag([1e12, 1e-12])):
