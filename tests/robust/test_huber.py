@@ -13,10 +13,10 @@ from scipy.integrate import quad
 from torchfra import presets
 from torchfra.filters import SRCKF
 from torchfra.gaussian import fifth_degree, third_degree
-from torchfra.motion import ConstantAcceleration, Motion
+from torchfra.motion import ConstantAcceleration, ConstantVelocity, Motion
 from torchfra.robust import HuberRegression, HuberScore, ThreeSegment
 from torchfra.scenarios import bearings_outliers, growth, reentry
-from torchfra.sensors import Position
+from torchfra.sensors import Position, RangeBearing
 from torchfra.types import Gaussian
 
 
@@ -77,6 +77,16 @@ def test_an_infinite_threshold_gives_the_plain_filter(preset):
     if preset is presets.hghckf2:
         torch.testing.assert_close(robust.mean, plain.mean)
         torch.testing.assert_close(robust.covariance, plain.covariance)
+
+
+def test_an_infinite_threshold_of_a_compensated_regression_gives_the_plain_filter():
+    motion, sensor = ConstantVelocity(0.1), RangeBearing((2.0, 0.1))
+    prior = Gaussian(torch.tensor([30.0, 20.0, 1.0, -1.0]).double(), torch.tensor([9.0, 9.0, 2.0, 2.0]).diag().double())
+    z = sensor(prior.mean[:2]) + torch.tensor([[3.0, -0.2], [-2.0, 0.1], [5.0, 0.3]]).double()
+    plain = SRCKF(motion, sensor)(z, prior)
+    robust = SRCKF(motion, sensor, robust=HuberRegression(math.inf, compensate=True))(z, prior)
+    torch.testing.assert_close(robust.mean, plain.mean)
+    torch.testing.assert_close(robust.covariance, plain.covariance)
 
 
 KNOWN = [

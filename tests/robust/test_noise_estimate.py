@@ -8,8 +8,10 @@ import torch
 from torchfra import metrics, presets, scenarios
 from torchfra.adaptive import Fading, SageHusa
 from torchfra.filters import SRCKF
+from torchfra.motion import ConstantVelocity
 from torchfra.robust import Huber
-from torchfra.types import Whitened
+from torchfra.sensors import Position
+from torchfra.types import Gaussian, Whitened
 
 SETTINGS = [
     ({}, oracles.Tuned()),
@@ -169,6 +171,20 @@ def test_an_argument_out_of_range_is_named(scenario):
     with pytest.raises(ValueError, match="blocks: expected those of a sensor of 3"):
         SRCKF(motion, sensor, noise=SageHusa([(0, 1)]))
     assert isinstance(SRCKF(motion, sensor, fading=Fading()).fading, Fading)
+
+
+def test_what_is_missing_adds_nothing_to_the_likelihood_whatever_its_noise_is_taken_for():
+    f = presets.iaukf(ConstantVelocity(0.01), Position(2.0))
+    z = 6 * torch.randn(20, 2, generator=torch.Generator().manual_seed(0)).double()
+    z[12, 1], z[15] = torch.nan, torch.nan
+    state, seen = f.init(Gaussian(torch.zeros(4).double(), 5 * torch.eye(4).double())), []
+    for row in z:
+        state, innovation = f.step(state, row)
+        seen.append(innovation)
+    assert (state.noise.scale > 2.0).all()
+    alone = torch.distributions.Normal(0.0, seen[12].scale_tril[0, 0]).log_prob(seen[12].residual[0])
+    torch.testing.assert_close(seen[12].log_likelihood, alone)
+    assert seen[15].log_likelihood == 0
 
 
 def test_the_excess_is_what_scatters_beyond_the_prediction():
