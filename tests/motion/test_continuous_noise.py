@@ -77,6 +77,20 @@ def test_the_form_of_the_papers_stays_the_default():
         assert usual.shape != white.shape or not usual.equal(white)
 
 
+@pytest.mark.parametrize(("make", "q", "slow", "fast", "limit"), [
+    (aircraft, 4.0, 3.0, 12.0, 9.8), (ships, 0.01, 0.5, 2.0, 0.5), (vehicles, 2.0, 8.0, 25.0, 6.0),
+    (people, 0.5, 20.0, 60.0, 3.0),
+])  # fmt: skip
+def test_banks_have_the_turns_and_the_largest_acceleration_that_they_name(make, q, slow, fast, limit):
+    for bank, of in ((make(), q), (make(7.0), 7.0)):
+        turns = [model for model in bank if isinstance(model, CoordinatedTurn)]
+        rates = sorted(math.degrees(turn.rate()) for turn in turns)
+        assert rates == pytest.approx([-fast, -slow, slow, fast])
+        assert [model.q().item() for model in (bank[0], bank[1], *turns)] == pytest.approx([of / 40, *[of] * 5])
+        assert bank[2].limit().item() == pytest.approx(limit)
+    assert make(7.0, continuous=True)[1].q().item() == pytest.approx(0.07)
+
+
 @pytest.mark.parametrize("make", [aircraft, ships, vehicles, people])
 def test_banks_are_the_same_from_either_side_and_every_manoeuvre_leads_back_to_straight_flight(make):
     bank = make()
