@@ -189,6 +189,8 @@ def test_an_unknown_turn_has_the_noise_of_a_straight_step_and_of_its_rate():
     straight = torch.kron(tensor([STEP**4 / 4, STEP**3 / 2], [STEP**3 / 2, STEP**2]), 0.7 * torch.eye(2).double())
     expected = torch.block_diag(straight, tensor([0.02 * STEP**2]))
     torch.testing.assert_close(covariance(UnknownTurn(0.7, 0.02), mean=tensor(1, 2, 10, -5, 0.4)), expected)
+    white = UnknownTurn(0.7, 0.02, continuous=True)
+    torch.testing.assert_close(covariance(white), covariance(white, mean=torch.zeros(5).double()))
 
 
 @pytest.mark.parametrize("make", [
