@@ -63,7 +63,16 @@ def test_every_motion_names_the_components_of_its_state(motion, names, kinds):
     assert motion.kinds == tuple(kind for kind, count, *_ in repeated for _ in range(int(count)))
     assert len(motion.components) == len(motion.kinds) == motion.size
     assert all(motion.kinds[i] == "angle" for i in motion.angles)
+    if not isinstance(motion, Spherical):  # whose place is in angles
+        at = range(motion.size)
+        assert [i for i in at if motion.kinds[i] == "position"] == [*at[motion.position]]
+        assert {motion.kinds[i] for i in at[motion.velocity]} <= {"velocity"}
     assert f"state=[{', '.join(motion.components)}]" in repr(motion)
+
+
+def test_what_is_no_motion_in_space_has_neither_a_place_nor_a_velocity():
+    for motion in (Clock(1.0, 1.0), GaussMarkov(3.0, 60.0, 2), RandomWalk(0.1, 2, kind="bias")):
+        assert not [*range(motion.size)[motion.position], *range(motion.size)[motion.velocity]]
 
 
 def test_a_motion_of_a_user_gets_the_names_that_its_layout_tells():

@@ -191,3 +191,5 @@ def test_the_excess_is_what_scatters_beyond_the_prediction():
     whitened = Whitened(torch.tensor([3.0, 0.0]).double(), torch.tensor([[2.0, 0.0], [0.0, 1.0]]).double(), 2)
     assert SageHusa([(0, 1)]).excess(whitened).tolist() == [5.0, -1.0]
     assert SageHusa([(0, 1)], adapt="residual").excess(whitened).tolist() == [13.0, 1.0]
+    less = whitened._replace(subtracted=torch.tensor([[0.5], [3.0]]).double())
+    assert SageHusa([(0, 1)]).excess(less).tolist() == [5.25, 8.0]
