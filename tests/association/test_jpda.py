@@ -95,10 +95,10 @@ def test_what_does_not_fit_is_named(crossing):
             "where the target",
         ),
         (lambda: presets.jpda(flat, Position(1.0), clutter=Clutter(extent=[1.0] * 3)), "extent: expected"),
-        (lambda: Clutter(), "volume, extent: expected exactly one of the two, received neither"),
+        (lambda: Clutter(), "volume, extent: .* received neither"),
         (
             lambda: Clutter(volume=1.0, extent=(1.0, 1.0)),
-            "volume, extent: expected exactly one of the two, received both",
+            "volume, extent: .* received both",
         ),
         (lambda: Clutter(-1.0), "volume"),
         (lambda: ChiSquare(1.0), "probability"),
