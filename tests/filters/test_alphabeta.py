@@ -183,6 +183,17 @@ def test_the_vote_is_the_majority_of_three():
         assert bool(after.manoeuvre.item()) == (older + old + new >= 2)
 
 
+def test_each_axis_is_filtered_as_if_it_were_alone_whatever_the_other_lacks():
+    several = torch.from_numpy(np.stack([with_outliers(seed) for seed in range(2)], -1))
+    several[10:14, 0], several[40, 1] = torch.nan, torch.nan
+    both = presets.alphabeta(ConstantVelocity(1.0, 2), Position(20.0))(several, Gaussian(
+        torch.zeros(4).double(), torch.eye(4).double()))  # fmt: skip
+    for axis in range(2):
+        alone = presets.alphabeta(LINE, SENSOR)(several[:, axis, None], PRIOR)
+        torch.testing.assert_close(both.mean[:, axis::2], alone.mean)
+        assert both.info.rejected[:, axis].equal(alone.info.rejected[:, 0])
+
+
 def test_by_range_and_azimuth_a_track_is_decided_as_its_mirror_image():
     t, mirror = torch.arange(60, dtype=torch.float64), tensor(1, -1)
     z = torch.stack([1e4 + 50 * t, 20 * t + 5 * (t - 30).clamp_min(0).square()], -1)
@@ -192,7 +203,8 @@ def test_by_range_and_azimuth_a_track_is_decided_as_its_mirror_image():
     one, other = f(z, prior), f(z * mirror, prior)
     torch.testing.assert_close(one.mean[:, [1, 3]], -other.mean[:, [1, 3]])
     assert one.info.rejected[:, 0].nonzero()[:, 0].tolist() == [15]
-    assert one.info.manoeuvre.any()
+    assert one.info.manoeuvre[30:].any()
+    assert not one.info.manoeuvre[:30].any()
 
 
 @pytest.mark.slow
