@@ -10,7 +10,9 @@ import torch
 from test_imm import DT, PRIOR, SENSOR, SIGMA, bank, measured, of, same
 
 from torchfra import presets
+from torchfra.motion import aircraft
 from torchfra.scenarios import adsb_models, adsb_turns
+from torchfra.sensors import Position
 
 CALLS = [[1, 3], [2, 4], [0, 4], [0, 1], [2, 0]]
 
@@ -52,6 +54,17 @@ def test_sets_are_those_of_the_rule_for_every_set_and_many_probabilities():
             assert sorted(found) == expected
             for place, model in enumerate(first):
                 assert (found[place] == model) == bool(stays_active[k, place])
+
+
+def test_likely_models_stay_before_unlikely_ones_where_a_principal_one_leaves_a_place():
+    bank = aircraft()
+    f, g = presets.vsimm_srckf(bank, Position(10.0)), np.random.default_rng(0)
+    for _ in range(60):
+        first, mu = g.permutation(7)[:4], g.permutation([0.7, 0.2, 0.06, 0.04])
+        active = torch.eye(7, dtype=torch.float64)[first]
+        chosen, _ = f.subset.choose(active, torch.from_numpy(mu).log())
+        expected = oracles.likely_set(dict(zip(first.tolist(), mu, strict=True)), 4, 0.05, 0.5, bank.neighbours)
+        assert sorted(chosen.argmax(-1).tolist()) == expected
 
 
 def test_transitions_are_the_papers_matrix_and_rows_sum_to_one():
