@@ -278,6 +278,13 @@ def test_models_in_discrete_time_pass_the_check_of_models(motion):
     assert report.ok, report
 
 
+@pytest.mark.parametrize(("dims", "orders"), [(None, 1), (1, 6), (2, 3), (3, 2), (6, 1)])
+def test_a_state_with_positions_has_as_many_velocities_and_so_on(dims, orders):
+    motion = Linear(np.eye(6), np.eye(6), dims=dims)
+    assert motion.orders == orders
+    assert motion.kinds.count("position") == (dims or 0)
+
+
 def test_a_covariance_of_any_rank_has_a_root_and_what_is_none_is_refused():
     half = np.random.default_rng(0).standard_normal((4, 2))
     for covariance in (half @ half.T, np.diag([4.0, 0.0, 1.0, 0.0]), np.eye(3)):

@@ -168,6 +168,8 @@ def test_an_argument_out_of_range_is_named(scenario):
             presets.iaukf(motion, sensor, **options)
     with pytest.raises(ValueError, match="robust, fading: expected none beside"):
         SRCKF(motion, sensor, robust=Huber(), noise=SageHusa(sensor.blocks))
+    with pytest.raises(ValueError, match="share: expected"):
+        Fading(states=slice(0, 2), share=[1.0, 2.0])
     with pytest.raises(ValueError, match="blocks: expected those of a sensor of 3"):
         SRCKF(motion, sensor, noise=SageHusa([(0, 1)]))
     assert isinstance(SRCKF(motion, sensor, fading=Fading()).fading, Fading)
