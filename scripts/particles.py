@@ -91,7 +91,8 @@ def step(
     beliefs = f.regimes.beliefs  # all of them are that of the particle
     mixed = Gaussian(*(x[None, None, None].expand(1, beliefs, 1, *x.shape) for x in before.belief))
     ahead, doubts = log_ahead(f, before, frame.dt, measured)[None, :, None], torch.full_like(before.log_weight, doubt)
-    every, _, _ = f.predict_regimes(mixed, ahead, frame, doubts, None)  # an outlying prior is inflated as is said
+    # An outlying prior is inflated as is said.
+    every, _, _ = f.predict_regimes(mixed, ahead, frame, doubts, None, frame.dt)
     predicted, log_regimes = Gaussian(*(x[0, :, 0] for x in every.belief)), every.log_weight[0, :, 0]
     widest = f.regimes.widest
     compare = f.comparison(Gaussian(*(x[widest : widest + 1] for x in predicted)), frame)

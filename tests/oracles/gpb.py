@@ -46,10 +46,14 @@ class Regimes(NamedTuple):
     manoeuvres: tuple[float, ...] = ()  # times that NIS: factors on Q, at least the home level's; after the levels
     seconds: Callable[[int], tuple[Array, Array]] | None = None  # instead: (B,) what lasts, (B,B) the transition
     burst: float = 4.0  # equal outliers in a row that are no jump
-    steps: Any = 1.0  # seconds of each step, one number or (T,)
+    steps: Any = 1.0  # seconds of each step, one number or a function of it
     restart: Any = None  # (B,) which regime begins when a target that has jumped is as any other
     keeps: Any = ()  # of each jump: P(it is settled still) at the next measurement but the one after it
     shares: Any = ()  # of each jump in those that begin
+
+    def seconds_of(self, k: int) -> float:
+        """Of step k."""
+        return float(self.steps(k) if callable(self.steps) else self.steps)
 
     @property
     def settled(self) -> list[Any]:
@@ -86,7 +90,8 @@ class Regimes(NamedTuple):
         all_of_them[:count, :count] = transition
         for i, keep in enumerate(keeps if measured else [1.0] * len(keeps), count):
             all_of_them[i, :count] = (1 - keep) * restart
-            all_of_them[i, -settled:] = keep * np.array([1 - AGILE_AFTER, AGILE_AFTER] if settled == 2 else [1.0])
+            agile = 1.0 if i == len(all_of_them) - 1 else AGILE_AFTER  # one that is agile stays so
+            all_of_them[i, -settled:] = keep * np.array([1 - agile, agile] if settled == 2 else [1.0])
         return all_of_them
 
     def pairs(self, log_regimes: Array, measured: bool, k: int) -> Array:
@@ -248,7 +253,7 @@ class Jumped(NamedTuple):
 
 def jumped(
     mixed: Beliefs, motions: list[Propagate], regimes: Regimes, position: slice, z: Array, model: Model, k: int,
-    outlying: OutlierModes, transition: Array, begins: bool,
+    outlying: OutlierModes, transition: Array, begins: bool, since: float,
 ) -> Jumped:  # fmt: skip
     """Manoeuvres and jumps, up to LARGEST."""
     found = Jumped({}, np.zeros((2, 0)), {}, [], [], [], 0.0)
@@ -279,11 +284,14 @@ def jumped(
             size = min(max(jump * nis, 1.0), LARGEST)
             offset, widen = np.zeros_like(P), np.ones(len(mean))
             offset[position, position] = (size - 1) * P[position, position]  # independent of all else
+            far = math.sqrt(size * np.diag(P)[position].mean())
             for order in (1, 2):  # velocity and acceleration: three times as large as before, at least
                 rates = range(order * position.stop, min((order + 1) * position.stop, len(mean)))
                 if len(rates) and np.diag(P)[rates].any():
-                    faster = 3 * np.linalg.norm(mean[rates]) / math.sqrt(np.diag(P)[rates].mean())
-                    widen[rates] = min(math.sqrt(size), max(1.0, faster))
+                    std = math.sqrt(np.diag(P)[rates].mean())
+                    pushed = order * far / since**order if since else 0.0  # what takes it so far
+                    faster = 3 * np.linalg.norm(mean[rates]) / std
+                    widen[rates] = min(max(math.sqrt(size), pushed / std), max(1.0, faster))
             factors[q, r] = widen, (Q + offset) * np.outer(widen, widen)
             after[q, r] = mean, (P + offset) * np.outer(widen, widen)
             if rarer > 0:
@@ -604,9 +612,10 @@ class State(NamedTuple):
     outlier: Array  # (B,) of each block, in the mode with outliers
     last: Array  # (m,) the measurement
     unreliable: Array  # (2,B) probability that each device is, of every mode
-    elapsed: float = 0.0  # s since the last measurement
+    elapsed: float = 0.0  # s since the last measurement, infinite before the first
     noise: Array | None = None  # (B,2) of the log of each block's noise scale: mean, variance
     waiting: Array | None = None  # (5,m) of each element: what its last residual says once the next one has come
+    since: float = 0.0  # s since the last measurement, 0 before the first
     count: float = 0  # of the measurements; minus the binary log of a mean of 1/2^count where these differ
     wider: float = 1.0  # than the inflated prior, at the first of them
 
@@ -738,13 +747,13 @@ def step(
     if known is not None:
         known = forgotten(known, q, z)
         model = louder(model, k, known, q)
-    seconds = 0.0 if q.dt is None else c.elapsed + q.dt[k]
+    seconds, since = 0.0 if q.dt is None else c.elapsed + q.dt[k], c.since + regimes.seconds_of(k)
     log_pairs = regimes.pairs(c.log_regimes, not nothing, k)
     mixed, shares = interacted(c.beliefs, log_pairs, beliefs)
     predictions = predicted(mixed, motions, regimes, k)
     over = q.over(seconds)
     begins = c.count < -math.log2(0.7)
-    jump = jumped(mixed, motions, regimes, position, z, model, k, q, over, begins)
+    jump = jumped(mixed, motions, regimes, position, z, model, k, q, over, begins, since)
     predictions |= jump.predictions
     moved = paths(mixed, predictions, regimes, jump.factors, q, k) if q.same_offset else {}
     chance = np.array([[log_sum(log_pairs[q, :, r]) for r in range(len(beliefs))] for q in MODES])
@@ -807,7 +816,7 @@ def step(
             known, waiting = judged(known, waiting, about, 1 - outlier, expected, z, model, k, q.blocks)
             known[:, 0] = known[:, 0].clip(min=math.log(q.least)) if q.least else known[:, 0]
         output["noise"] = np.exp(known[:, 0])
-    now = State(after, log_regimes, c.outlier, z, c.unreliable, seconds, known, waiting, c.count, c.wider)
+    now = State(after, log_regimes, c.outlier, z, c.unreliable, seconds, known, waiting, since, c.count, c.wider)
     if nothing:
         output["outlier"] = np.zeros(len(c.outlier))
         return now, output, lagged
@@ -816,7 +825,8 @@ def step(
         np.sum([math.exp(h.log_weight - log_sum(log_regimes[i])) * h.unreliable for h in every if h.now == i], axis=0)
         for i in MODES
     ])  # fmt: skip
-    return now._replace(outlier=outlier, unreliable=faulty, elapsed=0.0, count=c.count + 1, wider=wider), output, lagged
+    now = now._replace(outlier=outlier, unreliable=faulty, elapsed=0.0, since=0.0, count=c.count + 1, wider=wider)
+    return now, output, lagged
 
 
 def alarms(r: Result, z: Array, model: Model, blocks: list[list[int]], dt: Array, q: OutlierModes) -> Result:

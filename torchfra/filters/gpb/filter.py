@@ -228,7 +228,7 @@ class GPB(Filter[GPBState]):
         mixed, mixing = self.mix(before.belief, switching)  # (2)
         relaxation = outliers.relaxation(state.relaxation, frame.dt)
         predicted, surprise, widening = self.predict_regimes(
-            mixed, switching.log_weight, frame, state.doubt, relaxation
+            mixed, switching.log_weight, frame, state.doubt, relaxation, state.unmeasured + frame.dt
         )  # (3)
         unreliable = outliers.unreliable_next(state.outlier, state.unreliable)
         log_mode, modes = outliers.predict(state.outlier, unreliable, relaxation, measured)
@@ -318,8 +318,9 @@ class GPB(Filter[GPBState]):
         return matched(Gaussian(mean, root), roots, self.motion.angles), mixing
 
     def predict_regimes(
-        self, mixed: Gaussian, log_weight: Tensor, frame: Frame, doubt: Tensor, relaxation: Tensor | None
-    ) -> tuple[Hypotheses, Surprise, Tensor]:
+        self, mixed: Gaussian, log_weight: Tensor, frame: Frame, doubt: Tensor, relaxation: Tensor | None,
+        since: Tensor,
+    ) -> tuple[Hypotheses, Surprise, Tensor]:  # fmt: skip
         """Predictions of all regimes, and what they take from the measurement.
 
         Args:
@@ -328,6 +329,7 @@ class GPB(Filter[GPBState]):
             frame: of the step.
             doubt: ``(...)`` as in ``GPBState``.
             relaxation: from ``Outliers.relaxation``.
+            since: ``(...)`` seconds since the last measurement.
 
         Returns:
             Hypotheses ``(1, R, 2, ...)``; how far the measurement is from the prediction as stated; and the factor
@@ -348,7 +350,7 @@ class GPB(Filter[GPBState]):
         )
         rarer = self.outliers.first_rarer(frame.measured, relaxation)
         rarity = self.regimes.rarity(cost, cost - least, rarer, jumped, first)
-        mean, root = self.regimes.predictions(propagated, nis, self.regimes.jump_roots(stated, nis, self.motion))
+        mean, root = self.regimes.predictions(propagated, nis, self.regimes.jump_roots(stated, nis, self.motion, since))
         given = torch.zeros_like(nis)
         if "settled" in self.regimes.kinds:
             at = self.regimes.kinds.index("settled")
@@ -466,8 +468,8 @@ class GPB(Filter[GPBState]):
         if state.last is None or not frame.sensor.linear:
             return None
         regimes, d, n = self.regimes, frame.sensor.reads, self.motion.size
-        propagated = propagate_motions(self.bank, self.motion_rule, mixed, frame)
-        predicted = regimes.predicted_parts(propagated, nis, self.motion)
+        propagated, since = propagate_motions(self.bank, self.motion_rule, mixed, frame), state.unmeasured + frame.dt
+        predicted = regimes.predicted_parts(propagated, nis, self.motion, since)
         mean, root = (regimes.per_regime(x) for x in mixed)
         # With x = m + S u before the step, x' - x = (m' - m) + (F S - S) u + rest + process noise.
         rest, slope = predicted.spread[..., :-n], predicted.spread[..., -n:]
@@ -534,7 +536,9 @@ class GPB(Filter[GPBState]):
         switching = self.regimes.switch(before.log_weight, seconds, torch.ones_like(seconds, dtype=torch.bool))
         mixed, _ = self.mix(before.belief, switching)
         relaxation = self.outliers.relaxation(state.relaxation, frame.dt)
-        predicted, _, _ = self.predict_regimes(mixed, switching.log_weight, frame, state.doubt, relaxation)
+        predicted, _, _ = self.predict_regimes(
+            mixed, switching.log_weight, frame, state.doubt, relaxation, state.unmeasured + frame.dt
+        )
         flat: Hypotheses = tree.map_tensors(lambda x: x.flatten(0, 2), predicted)
         return flat.belief, flat.log_weight - flat.log_weight.logsumexp(0)
 

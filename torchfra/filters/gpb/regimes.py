@@ -33,8 +33,8 @@ are rather less likely than expected, by noise that is stated wrongly say, than 
 PRIOR_BURST = 2.0
 """How many equal outliers in a row at the beginning are taken for outliers: with one more the prior is off."""
 AGILE_AFTER = 0.03
-"""Probability that a target that has jumped is as agile as the agile level: it may be too far off for a straight line
-of the sensor, or much faster than before."""
+"""Probability that a target that has jumped becomes as agile as the agile level, while it is settled: it may be too far
+off for a straight line of the sensor, much faster than before, or in a turn that goes on."""
 NEARER = 0.01
 """How much rarer a jump is with a measurement that is nearer than the least of outliers: the target need not have
 jumped."""
@@ -417,14 +417,19 @@ class Regimes(Part):
         return torch.where(self._of_kinds(like, "settled"), keeps, 1.0)
 
     def _settled(self, x: Tensor, axis: int) -> Tensor:
-        """Weights of regimes that go on, along an axis: jumps and settled targets are settled in the next step."""
+        """Weights of regimes that go on, along an axis: jumps and settled targets are settled in the next step.
+
+        Those that are agile stay so while they are settled.
+        """
         jumps, settled = self.kinds.count("jump"), self.kinds.count("settled")
         if not jumps:
             return x
         others, landed = x.split([len(self.each) - jumps - settled, jumps + settled], axis)
-        shares = [1.0] if settled == 1 else [1 - AGILE_AFTER, AGILE_AFTER]
-        total = landed.sum(axis, keepdim=True)
-        return torch.cat([others, torch.zeros_like(landed.narrow(axis, 0, jumps)), *map(total.mul, shares)], axis)
+        as_stated, *agile = landed.split([jumps + 1, *[1] * (settled - 1)], axis)
+        shares = [as_stated.sum(axis, keepdim=True)]
+        if agile:
+            shares = [(1 - AGILE_AFTER) * shares[0], agile[0] + AGILE_AFTER * shares[0]]
+        return torch.cat([others, torch.zeros_like(landed.narrow(axis, 0, jumps)), *shares], axis)
 
     def jumped(self, compared: Whitened, nis: Tensor, count: Tensor, dims: int, first: Tensor) -> Jumped:
         """What a jump costs by itself, in the step in which it comes.
@@ -555,13 +560,13 @@ class Regimes(Part):
         """
         return Gaussian(propagated.mean[:, :1], hstack(propagated.spread[:, :1], propagated.process_noise[:, :1]))
 
-    def jump_roots(self, stated: Gaussian, nis: Tensor, motion: Motion) -> Tensor:
+    def jump_roots(self, stated: Gaussian, nis: Tensor, motion: Motion, since: Tensor) -> Tensor:
         """Roots ``(1, J, 2, ..., n, n)`` of predictions by jumps, from that as stated with a lower root."""
         if "jump" not in self.kinds:
             return stated.scale_tril[:, :0]
         factors = self._jumps(nis)
         offsets = self._offsets(stated, factors, motion)
-        roots: Tensor = self.widths(stated, factors, motion) * tria(hstack(stated.scale_tril, offsets))
+        roots: Tensor = self.widths(stated, factors, motion, since) * tria(hstack(stated.scale_tril, offsets))
         return roots
 
     def predictions(self, propagated: Propagated, nis: Tensor, jumps: Tensor) -> Gaussian:
@@ -579,14 +584,14 @@ class Regimes(Part):
         root = tria(hstack(self.per_regime(propagated.spread), self._noise(propagated, nis)), graded=False)
         return Gaussian(self.per_regime(propagated.mean), self.among("jump", jumps, root))
 
-    def predicted_parts(self, propagated: Propagated, nis: Tensor, motion: Motion) -> Propagated:
+    def predicted_parts(self, propagated: Propagated, nis: Tensor, motion: Motion, since: Tensor) -> Propagated:
         """The parts ``(1, R, 2, ...)`` of which ``predictions`` are made."""
         mean, spread = self.per_regime(propagated.mean), self.per_regime(propagated.spread)
         noise = self._noise(propagated, nis)
         if "jump" not in self.kinds:
             return Propagated(mean, spread, noise, None)
         stated, factors = self.as_stated(propagated), self._jumps(nis)
-        widths = self.among("jump", self.widths(stated, factors, motion), 1.0)
+        widths = self.among("jump", self.widths(stated, factors, motion, since), 1.0)
         offsets = self.among("jump", self._offsets(stated, factors, motion), 0.0)
         return Propagated(mean, widths * spread, widths * hstack(noise, offsets), None)
 
@@ -611,24 +616,29 @@ class Regimes(Part):
         levels = torch.cat([levels, torch.ones_like(levels[:1])])
         return taken(levels, [regime.level for regime in self.each], 0).unsqueeze(0)
 
-    def widths(self, stated: Gaussian, factors: Tensor, motion: Motion) -> Tensor:
+    def widths(self, stated: Gaussian, factors: Tensor, motion: Motion, since: Tensor) -> Tensor:
         """Factors ``(1, J, 2, ..., n, 1)`` on the rows of predicted roots: of velocity and acceleration in a jump.
 
         A receiver that was reset moves as before, a target that was carried elsewhere in any direction, and faster: a
-        standard deviation of the velocity is at least ``FASTER`` times the speed, if it is not multiplied by more than
-        that of an element; and so is one of the acceleration of its size.
+        standard deviation of the velocity is at least ``FASTER`` times the speed, and so is one of the acceleration of
+        its size.  But it is multiplied by no more than that of an element, or than what takes a target so far since
+        the last measurement: one that turns beyond all noise is first seen a little off its way.
 
         Args:
             stated: ``(1, 1, 2, ..., n)`` prediction as stated, any root.
             factors: ``(1, J, 2, ...)`` on the covariance of the position, from ``_jumps``.
             motion: says which components of a state are its position and its velocity.
+            since: ``(...)`` seconds since the last measurement.
         """
         mean, variances = stated.mean, stated.scale_tril.square().sum(-1)
         jump, rows = factors.sqrt(), dict[int, Tensor]()
-        for part in filter(None, _derivatives(motion)):
-            size = safe_sqrt(taken(mean, part, -1).square().sum(-1))
-            std = safe_sqrt(taken(variances, part, -1).mean(-1))
-            rows |= dict.fromkeys(part, torch.minimum(jump, safe_divide(FASTER * size, std).clamp_min(1.0)))
+        offset = jump * safe_sqrt(taken(variances, range(motion.size)[motion.position], -1).mean(-1))
+        for order, part in enumerate(_derivatives(motion), 1):
+            if part:
+                size = safe_sqrt(taken(mean, part, -1).square().sum(-1))
+                std = safe_sqrt(taken(variances, part, -1).mean(-1))
+                most = torch.maximum(jump, safe_divide(order * offset, std * since**order))
+                rows |= dict.fromkeys(part, torch.minimum(most, safe_divide(FASTER * size, std).clamp_min(1.0)))
         each = [rows.get(i, torch.ones_like(jump)) for i in range(motion.size)]
         return torch.stack(torch.broadcast_tensors(*each), -1).unsqueeze(-1)
 

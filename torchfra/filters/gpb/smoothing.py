@@ -59,7 +59,7 @@ def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
     surprise = Surprise(*(x.movedim(-1, 0)[None, None, :, None] for x in step.next.surprise))
     before = from_state(step.past.hypotheses, step.past.log_weights, (BEFORE, MOTION_BEFORE), AXES)
     later = from_state(after.hypotheses, after.log_weights, (OUTLIER, MOTION), AXES)
-    seconds = regimes.counted(step.past.unmeasured, frame.dt)
+    seconds, since = regimes.counted(step.past.unmeasured, frame.dt), step.past.unmeasured + frame.dt
     prior = _prior(regimes, f.outliers, step.past, step.next, surprise, frame.dt, seconds)
 
     # All later measurements, as the one measurement that turns each prediction into its smoothed belief.
@@ -71,7 +71,7 @@ def retreat(f: Any, step: BackwardStep, after: GPBPast) -> GPBPast:
 
     def predicted(belief: Gaussian) -> Propagated:
         propagated = propagate_motions(f.bank, f.motion_rule, belief, frame)
-        parts: Propagated = regimes.predicted_parts(propagated, surprise.nis, f.motion)
+        parts: Propagated = regimes.predicted_parts(propagated, surprise.nis, f.motion, since)
         return parts._replace(spread=rows * parts.spread, process_noise=rows * parts.process_noise)
 
     posterior = step.next.posterior.movedim((-3, -2, -1), (0, 1, 2)).unsqueeze(MOTION_BEFORE)
