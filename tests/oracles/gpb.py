@@ -26,7 +26,7 @@ MODES = (0, 1)
 READS = 2  # sensors read the position alone
 BLIND, NEAR, LARGEST, PRIOR_MARGIN, PRIOR_BURST = 0.02, 0.01, 1e14, 4.0, 2.0
 BENT, NEWTON, LEAST, EXPECTED = 9.0, 4, 30.0, 0.7
-AGILE_AFTER = 0.03  # of targets that have jumped
+AGILE_AFTER, AGILE_STAYS = 0.03, 0.5  # of targets that have jumped
 
 
 class Regimes(NamedTuple):
@@ -90,7 +90,7 @@ class Regimes(NamedTuple):
         all_of_them[:count, :count] = transition
         for i, keep in enumerate(keeps if measured else [1.0] * len(keeps), count):
             all_of_them[i, :count] = (1 - keep) * restart
-            agile = 1.0 if i == len(all_of_them) - 1 else AGILE_AFTER  # one that is agile stays so
+            agile = AGILE_STAYS if i == len(all_of_them) - 1 else AGILE_AFTER
             all_of_them[i, -settled:] = keep * np.array([1 - agile, agile] if settled == 2 else [1.0])
         return all_of_them
 

@@ -32,9 +32,9 @@ SOONER = 0.7
 are rather less likely than expected, by noise that is stated wrongly say, than more."""
 PRIOR_BURST = 2.0
 """How many equal outliers in a row at the beginning are taken for outliers: with one more the prior is off."""
-AGILE_AFTER = 0.03
-"""Probability that a target that has jumped becomes as agile as the agile level, while it is settled: it may be too far
-off for a straight line of the sensor, much faster than before, or in a turn that goes on."""
+AGILE_AFTER, AGILE_STAYS = 0.03, 0.5
+"""Probabilities that a target that has jumped becomes as agile as the agile level, and that it is so in the next step
+too: it may be too far off for a straight line of the sensor, much faster than before, or in a turn that goes on."""
 NEARER = 0.01
 """How much rarer a jump is with a measurement that is nearer than the least of outliers: the target need not have
 jumped."""
@@ -417,10 +417,7 @@ class Regimes(Part):
         return torch.where(self._of_kinds(like, "settled"), keeps, 1.0)
 
     def _settled(self, x: Tensor, axis: int) -> Tensor:
-        """Weights of regimes that go on, along an axis: jumps and settled targets are settled in the next step.
-
-        Those that are agile stay so while they are settled.
-        """
+        """Weights of regimes that go on, along an axis: jumps and settled targets are settled in the next step."""
         jumps, settled = self.kinds.count("jump"), self.kinds.count("settled")
         if not jumps:
             return x
@@ -428,7 +425,8 @@ class Regimes(Part):
         as_stated, *agile = landed.split([jumps + 1, *[1] * (settled - 1)], axis)
         shares = [as_stated.sum(axis, keepdim=True)]
         if agile:
-            shares = [(1 - AGILE_AFTER) * shares[0], agile[0] + AGILE_AFTER * shares[0]]
+            begins, stays = AGILE_AFTER, AGILE_STAYS
+            shares = [(1 - begins) * shares[0] + (1 - stays) * agile[0], begins * shares[0] + stays * agile[0]]
         return torch.cat([others, torch.zeros_like(landed.narrow(axis, 0, jumps)), *shares], axis)
 
     def jumped(self, compared: Whitened, nis: Tensor, count: Tensor, dims: int, first: Tensor) -> Jumped:
