@@ -463,6 +463,14 @@ def test_a_turn_beyond_all_noise_is_hardly_ever_lost_for_eight_measurements_thou
     assert far.unfold(-1, 8, 1).all(-1).any(-1).double().mean() < 0.06
 
 
+def test_outliers_that_follow_each_other_take_no_vehicle_with_them_whose_way_is_measured():
+    cell = OpenCell("half", motion="gyroscope", sensor="radar", index=0.3, dt=30.0, spacing="mixed", size=1e6)
+    scenario = cell.scenario()
+    tracks = scenario.simulate(40, 2)
+    estimate = presets.gpb(scenario.motion, scenario.sensor)(tracks.z, tracks.prior, u=tracks.u, dt=scenario.dt)
+    assert (estimate.mean - tracks.truth)[..., :2].norm(dim=-1).max() < 100 * cell.std
+
+
 def test_a_confused_start_does_not_take_a_heading_away():
     scenario = OpenCell("half", motion="gyroscope", size=2000.0, index=0.3, one_sided=True).scenario(steps=30)
     tracks = scenario.simulate(20, 1)

@@ -31,7 +31,16 @@ from torchfra.filters.gpb.hypotheses import (
 )
 from torchfra.filters.gpb.noise import LearnedNoise, NoiseScale, factors, measured_blocks
 from torchfra.filters.gpb.outliers import Modes, Outliers
-from torchfra.filters.gpb.regimes import LARGEST_FACTORS, PRIOR_BURST, Fit, Regime, Regimes, Surprise, Switching
+from torchfra.filters.gpb.regimes import (
+    LARGEST_FACTORS,
+    PRIOR_BURST,
+    Fit,
+    Regime,
+    Regimes,
+    Surprise,
+    Switching,
+    derivatives,
+)
 from torchfra.filters.gpb.slopes import (
     Line,
     along,
@@ -352,7 +361,8 @@ class GPB(Filter[GPBState]):
         rarity = self.regimes.rarity(cost, cost - least, rarer, jumped, first)
         mean, root = self.regimes.predictions(propagated, nis, self.regimes.jump_roots(stated, nis, self.motion, since))
         given = torch.zeros_like(nis)
-        if "settled" in self.regimes.kinds:
+        # Of a motion without a velocity nothing is unknown but the place, which the first measurement has told.
+        if "settled" in self.regimes.kinds and any(derivatives(self.motion)):
             at = self.regimes.kinds.index("settled")
             settled = Gaussian(mean[:, at : at + 1], root[:, at : at + 1])
             found = Fit.of(self.compare(read(settled, frame), frame))
@@ -395,8 +405,9 @@ class GPB(Filter[GPBState]):
 
         A prior that is off and outliers are the same at first.  As a jump, a prior that is off is as rare as outliers,
         ``PRIOR_BURST`` of them: so one is taken for an outlier whatever its size, and so are two; and what it loses at
-        the next two measurements as it knows no velocity and no acceleration, it is given back.  That both are wrong is
-        rarer still: merged with an outlier after a good prior, it would take away what that one knows.
+        the next two measurements as it knows no velocity and no acceleration, it is given back, unless the motion has
+        none.  That both are wrong is rarer still: merged with an outlier after a good prior, it would take away what
+        that one knows.
 
         Args:
             state: before the step.
@@ -412,7 +423,7 @@ class GPB(Filter[GPBState]):
         taken = PRIOR_STEEP * state.widening.log()  # at most as much is given back: nothing for a prior that is right
         begun = torch.zeros_like(off)
         some = later.any()
-        if is_traced(some) or some:
+        if any(derivatives(self.motion)) and (is_traced(some) or some):
             first = Gaussian(*(x[0, 0, 0] for x in predicted.belief))
             unknown, _ = innovation(self.compare(read(first, frame), frame))
             given = torch.minimum(unknown.diagonal(dim1=-2, dim2=-1).log().sum(-1), taken)

@@ -491,11 +491,12 @@ class Regimes(Part):
     ) -> Tensor:
         """Log ``(1, 1, 2, ...)`` of what a settled target is given back of the density of a measurement.
 
-        After a jump its velocity and its acceleration are unknown, so its predictions are wide, the more the longer the
-        steps are.  That is no evidence against the jump, so the density is given back by how much they are wider than
-        is expected of a measurement: only while it is an outlier to the prediction as stated, and no more than by how
-        much it is.  A small residual of so wide a prediction is no evidence for the jump either, and what is an outlier
-        to it too is not given back: the agile level of a target that has jumped is not to explain it.
+        After a jump its velocity and its acceleration, if it has any, are unknown, so its predictions are wide, the
+        more the longer the steps are.  That is no evidence against the jump, so the density is given back by how much
+        they are wider than is expected of a measurement: only while it is an outlier to the prediction as stated, and
+        no more than by how much it is.  A small residual of so wide a prediction is no evidence for the jump either,
+        and what is an outlier to it too is not given back: the agile level of a target that has jumped is not to
+        explain it.
 
         Args:
             settled: the measurement and a settled target, by the stated motion.
@@ -640,7 +641,7 @@ class Regimes(Part):
         mean, variances = stated.mean, stated.scale_tril.square().sum(-1)
         jump, rows = factors.sqrt(), dict[int, Tensor]()
         offset = jump * safe_sqrt(taken(variances, range(motion.size)[motion.position], -1).mean(-1))
-        for order, part in enumerate(_derivatives(motion), 1):
+        for order, part in enumerate(derivatives(motion), 1):
             if part:
                 size = safe_sqrt(taken(mean, part, -1).square().sum(-1))
                 std = safe_sqrt(taken(variances, part, -1).mean(-1))
@@ -739,6 +740,12 @@ class Regimes(Part):
         return torch.cat([before, values.expand(-1, count, *rest), after], MOTION)
 
 
+def derivatives(motion: Motion) -> tuple[Sequence[int], Sequence[int]]:
+    """The components of a state that are velocities, and those that are accelerations."""
+    components = range(motion.size)
+    return components[motion.velocity], [i for i in components if motion.kinds[i] == "acceleration"]
+
+
 def _by_belief(beliefs: Sequence[int]) -> list[tuple[list[int], bool]]:
     """The regimes of each belief in turn, and whether they share it; those that have one alone are together.
 
@@ -762,12 +769,6 @@ def _each_group(
     parts = [taken(x, regimes, axis) for regimes, _ in groups]
     parts = [combine(part) if share else part for part, (_, share) in zip(parts, groups, strict=True)]
     return torch.cat(parts, axis) if len(parts) > 1 else parts[0]
-
-
-def _derivatives(motion: Motion) -> tuple[Sequence[int], Sequence[int]]:
-    """The components of a state that are velocities, and those that are accelerations."""
-    components = range(motion.size)
-    return components[motion.velocity], [i for i in components if motion.kinds[i] == "acceleration"]
 
 
 def _levels(separate: int | Sequence[int], count: int) -> tuple[int, ...]:
