@@ -76,6 +76,9 @@ FIRST, THIRD = 0.7, 0.2
 so that no rounding of a mean over hypotheses decides."""
 PRIOR_SOONER = 0.8
 """By how many outliers a prior that is off is likelier than one more than ``PRIOR_BURST``, as ``regimes.SOONER``."""
+HEADING = 4.0
+"""Log of how much wider an outlying prior's predictions may be, without any evidence against it, by a heading that is
+unknown, of a motion without a velocity: if it were without bound, two outliers would be such a prior."""
 PRIOR_STEEP = 3.0
 """Power of the widening by which a prior that is off is rarer at most: nothing jumps where it begins to be off."""
 
@@ -405,9 +408,9 @@ class GPB(Filter[GPBState]):
 
         A prior that is off and outliers are the same at first.  As a jump, a prior that is off is as rare as outliers,
         ``PRIOR_BURST`` of them: so one is taken for an outlier whatever its size, and so are two; and what it loses at
-        the next two measurements as it knows no velocity and no acceleration, it is given back, unless the motion has
-        none.  That both are wrong is rarer still: merged with an outlier after a good prior, it would take away what
-        that one knows.
+        the next two measurements as it knows no velocity and no acceleration, it is given back; of a motion that has
+        none no more than ``HEADING``.  That both are wrong is rarer still: merged with an outlier after a good prior,
+        it would take away what that one knows.
 
         Args:
             state: before the step.
@@ -423,11 +426,12 @@ class GPB(Filter[GPBState]):
         taken = PRIOR_STEEP * state.widening.log()  # at most as much is given back: nothing for a prior that is right
         begun = torch.zeros_like(off)
         some = later.any()
-        if any(derivatives(self.motion)) and (is_traced(some) or some):
+        if is_traced(some) or some:
             first = Gaussian(*(x[0, 0, 0] for x in predicted.belief))
             unknown, _ = innovation(self.compare(read(first, frame), frame))
             given = torch.minimum(unknown.diagonal(dim1=-2, dim2=-1).log().sum(-1), taken)
-            begun = torch.where(later, given, 0.0)
+            most = torch.inf if any(derivatives(self.motion)) else HEADING
+            begun = torch.where(later, given.clamp_max(most), 0.0)
         return torch.stack([torch.stack([begun, torch.zeros_like(begun)]), -rarity], 1).unsqueeze(1)
 
     def outlying_rows(self, widening: Tensor) -> Tensor:
