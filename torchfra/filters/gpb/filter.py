@@ -39,7 +39,7 @@ from torchfra.filters.gpb.regimes import (
     Regimes,
     Surprise,
     Switching,
-    derivatives,
+    most_given,
 )
 from torchfra.filters.gpb.slopes import (
     Line,
@@ -76,9 +76,6 @@ FIRST, THIRD = 0.7, 0.2
 so that no rounding of a mean over hypotheses decides."""
 PRIOR_SOONER = 0.8
 """By how many outliers a prior that is off is likelier than one more than ``PRIOR_BURST``, as ``regimes.SOONER``."""
-HEADING = 4.0
-"""Log of how much wider an outlying prior's predictions may be, without any evidence against it, by a heading that is
-unknown, of a motion without a velocity: if it were without bound, two outliers would be such a prior."""
 PRIOR_STEEP = 3.0
 """Power of the widening by which a prior that is off is rarer at most: nothing jumps where it begins to be off."""
 
@@ -364,12 +361,12 @@ class GPB(Filter[GPBState]):
         rarity = self.regimes.rarity(cost, cost - least, rarer, jumped, first)
         mean, root = self.regimes.predictions(propagated, nis, self.regimes.jump_roots(stated, nis, self.motion, since))
         given = torch.zeros_like(nis)
-        # Of a motion without a velocity nothing is unknown but the place, which the first measurement has told.
-        if "settled" in self.regimes.kinds and any(derivatives(self.motion)):
+        if "settled" in self.regimes.kinds:
             at = self.regimes.kinds.index("settled")
             settled = Gaussian(mean[:, at : at + 1], root[:, at : at + 1])
             found = Fit.of(self.compare(read(settled, frame), frame))
             given = self.regimes.unknown(found, fit, jumped.expected, least, log_weight, count)
+            given = given.clamp_max(most_given(self.motion))
             # Where half of all measurements are outliers from the beginning, the first of them would be a path.
             given = torch.where(doubt > THIRD, 0.0, given)
         surprise = Surprise(nis, rarity, cost, given)
@@ -409,7 +406,7 @@ class GPB(Filter[GPBState]):
         A prior that is off and outliers are the same at first.  As a jump, a prior that is off is as rare as outliers,
         ``PRIOR_BURST`` of them: so one is taken for an outlier whatever its size, and so are two; and what it loses at
         the next two measurements as it knows no velocity and no acceleration, it is given back; of a motion that has
-        none no more than ``HEADING``.  That both are wrong is rarer still: merged with an outlier after a good prior,
+        none no more than for a heading.  That both are wrong is rarer still: merged with an outlier after a good prior,
         it would take away what that one knows.
 
         Args:
@@ -430,8 +427,7 @@ class GPB(Filter[GPBState]):
             first = Gaussian(*(x[0, 0, 0] for x in predicted.belief))
             unknown, _ = innovation(self.compare(read(first, frame), frame))
             given = torch.minimum(unknown.diagonal(dim1=-2, dim2=-1).log().sum(-1), taken)
-            most = torch.inf if any(derivatives(self.motion)) else HEADING
-            begun = torch.where(later, given.clamp_max(most), 0.0)
+            begun = torch.where(later, given.clamp_max(most_given(self.motion)), 0.0)
         return torch.stack([torch.stack([begun, torch.zeros_like(begun)]), -rarity], 1).unsqueeze(1)
 
     def outlying_rows(self, widening: Tensor) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
@@ -45,6 +46,9 @@ LASTS = 2.0
 """Measurements that a level of a single motion lasts for at least, or some more: a chain in seconds moves on by no more
 of the shortest sojourn time between two measurements.  If it went on, levels would be drawn anew with every measurement
 where steps are long, and process noise that is stated wrongly would never be noticed."""
+HEADING = 4.0
+"""Log of how much wider a prediction may be, without any evidence against it, by a heading that is unknown, of a motion
+without a velocity: if it were without bound, outliers that follow each other would be a path."""
 NEVER = 1e-12
 """Probability at a restart up to which a jump hardly ever begins, however far off a measurement is."""
 LANDED = ("jump", "settled")
@@ -641,7 +645,7 @@ class Regimes(Part):
         mean, variances = stated.mean, stated.scale_tril.square().sum(-1)
         jump, rows = factors.sqrt(), dict[int, Tensor]()
         offset = jump * safe_sqrt(taken(variances, range(motion.size)[motion.position], -1).mean(-1))
-        for order, part in enumerate(derivatives(motion), 1):
+        for order, part in enumerate(_derivatives(motion), 1):
             if part:
                 size = safe_sqrt(taken(mean, part, -1).square().sum(-1))
                 std = safe_sqrt(taken(variances, part, -1).mean(-1))
@@ -740,10 +744,9 @@ class Regimes(Part):
         return torch.cat([before, values.expand(-1, count, *rest), after], MOTION)
 
 
-def derivatives(motion: Motion) -> tuple[Sequence[int], Sequence[int]]:
-    """The components of a state that are velocities, and those that are accelerations."""
-    components = range(motion.size)
-    return components[motion.velocity], [i for i in components if motion.kinds[i] == "acceleration"]
+def most_given(motion: Motion) -> float:
+    """Log of how much a target that has jumped, or whose prior is off, is given back at most: see ``HEADING``."""
+    return math.inf if any(_derivatives(motion)) else HEADING
 
 
 def _by_belief(beliefs: Sequence[int]) -> list[tuple[list[int], bool]]:
@@ -769,6 +772,12 @@ def _each_group(
     parts = [taken(x, regimes, axis) for regimes, _ in groups]
     parts = [combine(part) if share else part for part, (_, share) in zip(parts, groups, strict=True)]
     return torch.cat(parts, axis) if len(parts) > 1 else parts[0]
+
+
+def _derivatives(motion: Motion) -> tuple[Sequence[int], Sequence[int]]:
+    """The components of a state that are velocities, and those that are accelerations."""
+    components = range(motion.size)
+    return components[motion.velocity], [i for i in components if motion.kinds[i] == "acceleration"]
 
 
 def _levels(separate: int | Sequence[int], count: int) -> tuple[int, ...]:
