@@ -26,7 +26,7 @@ MODES = (0, 1)
 READS = 2  # sensors read the position alone
 BLIND, NEAR, LARGEST, PRIOR_MARGIN, PRIOR_BURST = 0.02, 0.01, 1e14, 4.0, 2.0
 BENT, NEWTON, LEAST, EXPECTED = 9.0, 4, 30.0, 0.7
-AGILE_AFTER = 0.03  # of targets that have jumped
+AGILE_AFTER, AGILE_STAYS = 0.03, 0.5  # of targets that have jumped
 
 
 class Regimes(NamedTuple):
@@ -83,20 +83,14 @@ class Regimes(NamedTuple):
         return range(begin, begin + len(self.jumps))
 
     def with_jumps(self, transition: Array, restart: Array, measured: bool) -> Array:
-        """A transition (B,B) with jumps and settled targets, (2,R,R): nothing becomes one of these by itself.
-
-        After no outlier a settled target that is agile stays so, after one it is drawn anew.
-        """
-        return np.array([self._with_jumps(transition, restart, measured, stays) for stays in (1.0, AGILE_AFTER)])
-
-    def _with_jumps(self, transition: Array, restart: Array, measured: bool, stays: float) -> Array:
+        """A transition (B,B) with jumps and settled targets, (R,R): nothing becomes one of these by itself."""
         count, settled = len(transition), len(self.settled)
         keeps = [*[1.0] * len(self.jumps), *[self.keeps[-1]] * settled] if self.jumps else []
         all_of_them = np.zeros((count + len(keeps),) * 2)
         all_of_them[:count, :count] = transition
         for i, keep in enumerate(keeps if measured else [1.0] * len(keeps), count):
             all_of_them[i, :count] = (1 - keep) * restart
-            agile = stays if i == len(all_of_them) - 1 else AGILE_AFTER
+            agile = AGILE_STAYS if i == len(all_of_them) - 1 else AGILE_AFTER
             all_of_them[i, -settled:] = keep * np.array([1 - agile, agile] if settled == 2 else [1.0])
         return all_of_them
 
@@ -146,15 +140,15 @@ def exponential(matrix: Array) -> Array:
 
 
 def switched(weights: Array, stays: Array, after: Array) -> Array:
-    """Regimes before and after a step (2,R,R): what has lasted, else `after` from what all that ended know.
+    """Regimes before and after a step (2,R,R): what has lasted (R,R), else `after` (R,R) from what all that ended know.
 
     The regimes after the step are as likely as the transition in time says.
     """
-    pairs = np.zeros_like(after)
+    pairs = np.zeros((2, *after.shape))
     for q in MODES:
-        ended = weights[q] * (1 - stays[q].sum(1))
-        begun = weights[q] @ (after[q] - stays[q])
-        pairs[q] = weights[q][:, None] * stays[q] + np.outer(ended / (ended.sum() or 1.0), begun)
+        ended = weights[q] * (1 - stays.sum(1))
+        begun = weights[q] @ (after - stays)
+        pairs[q] = weights[q][:, None] * stays + np.outer(ended / (ended.sum() or 1.0), begun)
     return pairs
 
 

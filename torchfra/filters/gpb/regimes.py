@@ -33,10 +33,9 @@ SOONER = 0.7
 are rather less likely than expected, by noise that is stated wrongly say, than more."""
 PRIOR_BURST = 2.0
 """How many equal outliers in a row at the beginning are taken for outliers: with one more the prior is off."""
-AGILE_AFTER = 0.03
-"""Probability that a target that has jumped becomes as agile as the agile level: it may be too far off for a straight
-line of the sensor, much faster than before, or in a turn that goes on.  After an inlier it stays so while it is
-settled; after an outlier nothing shows that it still is."""
+AGILE_AFTER, AGILE_STAYS = 0.03, 0.5
+"""Probabilities that a target that has jumped becomes as agile as the agile level, and that it is so in the next step
+too: it may be too far off for a straight line of the sensor, much faster than before, or in a turn that goes on."""
 NEARER = 0.01
 """How much rarer a jump is with a measurement that is nearer than the least of outliers: the target need not have
 jumped."""
@@ -382,8 +381,7 @@ class Regimes(Part):
         weight = (log_weight - top).exp()
         stay, ended = self.chain(weight[0], dt, measured)
         stayed, restarted = stay * weight, (ended * weight).sum(1).unsqueeze(0)
-        none, some = stayed.split(1, BEFORE)
-        goes_on = torch.cat([self._settled(none, MOTION, 1.0), self._settled(some, MOTION, AGILE_AFTER)], BEFORE)
+        goes_on = self._settled(stayed, MOTION)
         return Switching(goes_on, weight - stayed, restarted, safe_log(goes_on + restarted) + top)
 
     def transition(self, like: Tensor, dt: Tensor, measured: Tensor) -> Tensor:
@@ -391,9 +389,8 @@ class Regimes(Part):
         stay, ended = self.chain(like, dt, measured)
         stay, ended = stay.movedim(0, 1), ended.movedim(1, 2)
         count = stay.shape[1]
-        each = torch.eye(count, dtype=stay.dtype, device=stay.device)
-        same = torch.stack([self._settled(each, 0, stays) for stays in (1.0, AGILE_AFTER)], 1)
-        return safe_log(same.reshape(count, 2, count, *(1,) * (stay.dim() - 2)) * stay + ended)
+        same = self._settled(torch.eye(count, dtype=stay.dtype, device=stay.device), 0)
+        return safe_log(same.reshape(count, 1, count, *(1,) * (stay.dim() - 2)) * stay + ended)
 
     def chain(self, like: Tensor, dt: Tensor, measured: Tensor) -> tuple[Tensor, Tensor]:
         """Transition probabilities over a step of ``dt (...)`` seconds, for ``like (R, ...)``.
@@ -423,14 +420,8 @@ class Regimes(Part):
             keeps = self._by_regime((-1 / self.durations(like)).exp(), like.dim() - 1)
         return torch.where(self._of_kinds(like, "settled"), keeps, 1.0)
 
-    def _settled(self, x: Tensor, axis: int, stays: float) -> Tensor:
-        """Weights of regimes that go on, along an axis: jumps and settled targets are settled in the next step.
-
-        Args:
-            x: weights of the regimes before.
-            axis: of the regimes.
-            stays: probability that a settled target that is agile stays so.
-        """
+    def _settled(self, x: Tensor, axis: int) -> Tensor:
+        """Weights of regimes that go on, along an axis: jumps and settled targets are settled in the next step."""
         jumps, settled = self.kinds.count("jump"), self.kinds.count("settled")
         if not jumps:
             return x
@@ -438,8 +429,8 @@ class Regimes(Part):
         as_stated, *agile = landed.split([jumps + 1, *[1] * (settled - 1)], axis)
         shares = [as_stated.sum(axis, keepdim=True)]
         if agile:
-            now = AGILE_AFTER * shares[0] + stays * agile[0]
-            shares = [(1 - AGILE_AFTER) * shares[0] + (1 - stays) * agile[0], now]
+            begins, stays = AGILE_AFTER, AGILE_STAYS
+            shares = [(1 - begins) * shares[0] + (1 - stays) * agile[0], begins * shares[0] + stays * agile[0]]
         return torch.cat([others, torch.zeros_like(landed.narrow(axis, 0, jumps)), *shares], axis)
 
     def jumped(self, compared: Whitened, nis: Tensor, count: Tensor, dims: int, first: Tensor) -> Jumped:
