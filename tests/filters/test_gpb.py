@@ -438,10 +438,8 @@ def test_a_forecast_has_the_noise_that_was_learned():
     state, louder = f.init(PRIOR), f.init(PRIOR)
     louder = louder._replace(noise=louder.noise._replace(log_scale=louder.noise.log_scale + math.log(4.0)))
     each = [f.predict(x, 1.0).measurement.covariance.diagonal(dim1=-2, dim2=-1) for x in (state, louder)]
-    kept, off, variance = math.exp(-1 / 8.0), math.log(4.0), 0.9**2
-    prior = 1 / (variance + off**2 / 2)
-    left = off * kept / variance / (kept * (1 / variance - prior) + prior)
-    assert_close(each[1] - each[0], torch.full((2,), math.expm1(left) * 4.0, dtype=torch.float64))
+    kept = math.exp(-1 / 8.0)
+    assert_close(each[1] - each[0], torch.full((2,), (4**kept - 1) * 4.0, dtype=torch.float64))
 
 
 @pytest.mark.slow

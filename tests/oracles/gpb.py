@@ -684,26 +684,19 @@ def merged(every: list[Hypothesis]) -> tuple[float, Belief]:
     return total, matched([(math.exp(h.log_weight - total), *h.belief) for h in every])
 
 
-def heavy(mean: float, doubt: float) -> float:
-    """The precision of a prior with heavy tails, where the mean is."""
-    return 1 / (doubt**2 + mean**2 / 2)
-
-
 def forgotten(noise: Array, q: OutlierModes, z: Array) -> Array:
     """What is known (B,2) of the noise at a measurement: what was, and that it may have changed since."""
     doubt, memory = q.noise or (0.0, 1.0)
     rows = []
     for (mean, variance), block in zip(noise, q.blocks, strict=True):
         kept = 1.0 if np.isnan(z[block]).all() else math.exp(-1 / memory)
-        prior = heavy(mean, doubt)
-        after = 1 / (kept * max(1 / variance - prior, 0.0) + prior)
-        rows.append([kept * mean * after / variance, after])
+        rows.append([kept * mean, kept**2 * variance + (1 - kept**2) * doubt**2])
     return np.array(rows)
 
 
 def judged(
     noise: Array, waiting: Array, about: Array, inlier: Array, expected: Any, z: Array, model: Model, k: int,
-    blocks: list[list[int]], doubt: float,
+    blocks: list[list[int]],
 ) -> tuple[Array, Array]:  # fmt: skip
     """What is known (B,2) of the noise after a measurement, and what waits (5,m) for the next one.
 
@@ -723,12 +716,8 @@ def judged(
         spread = max((unit**2 * variance[block]).sum(), (unit**2 * e[block] ** 2).sum())
         if block and share.any():
             c = (2 * share.sum() + spread) / weight.sum()
-            before, known = noise[b, 0], 1 / (1 / noise[b, 1] + inlier[b] * share.sum() / c)
-            mean = before + known * inlier[b] * (excess - residual * unit * e[block]).sum() / c
-            # The prior is another one there, and what measurements say is the same.
-            information = max(1 / known - heavy(before, doubt), 0.0)
-            noise[b, 1] = 1 / (information + heavy(mean, doubt))
-            noise[b, 0] = mean / known * noise[b, 1]
+            noise[b, 1] = 1 / (1 / noise[b, 1] + inlier[b] * share.sum() / c)
+            noise[b, 0] += noise[b, 1] * inlier[b] * (excess - residual * unit * e[block]).sum() / c
         now = [*about[:, block], inlier[b] / std[block], inlier[b] * np.ones(len(block))]
         after[:, block] = np.array(now) + (1 - inlier[b]) * waiting[:, block]
     return noise, after
@@ -824,7 +813,7 @@ def step(
     if known is not None:
         about = np.sum([math.exp(h.log_weight) * h.noise for h in every], axis=0)
         if not nothing:
-            known, waiting = judged(known, waiting, about, 1 - outlier, expected, z, model, k, q.blocks, q.noise[0])
+            known, waiting = judged(known, waiting, about, 1 - outlier, expected, z, model, k, q.blocks)
             known[:, 0] = known[:, 0].clip(min=math.log(q.least)) if q.least else known[:, 0]
         output["noise"] = np.exp(known[:, 0])
     now = State(after, log_regimes, c.outlier, z, c.unreliable, seconds, known, waiting, since, c.count, c.wider)

@@ -160,9 +160,8 @@ def gpb(
             have; for linear sensors.  None for 0.
         noise: whether the scale of each block's measurement noise is ``"learned"`` from the inliers, or ``"stated"`` by
             the sensor; ``Estimate.info.noise`` has what it believes.
-        noise_doubt: if learned, standard deviation of the log of the factor on the variance of the noise, near what is
-            stated: with 0.5 a standard deviation is within a factor of 1.3 of it in two of three sensors.  Tails are
-            heavy: noise that is far from what is stated may be any other.
+        noise_doubt: if learned, standard deviation of the log of the factor on the variance of the noise: with 0.5 a
+            standard deviation is within a factor of 1.6 of what is stated in 95 of 100 sensors.
         noise_memory: if learned, number of measurements after which what was learned has fallen to 37 %.
         noise_least: if learned, factor on the stated variance below which the noise is not taken to be, from 0 to 1:
             errors that last look like motion, and who states a larger noise for them is right.

@@ -54,12 +54,10 @@ class NoiseScale(NamedTuple):
 class LearnedNoise(nn.Module):
     """The factor on the variance of each block's measurement noise, learned from the inliers.
 
-    Its log ``m`` is known with variance ``v``.  Before any measurement it is around 0, the noise as stated, by a prior
-    with heavy tails (Student's t with one degree of freedom), as noise that is far from what is stated may be any
-    other: it counts as a normal one with the precision ``p(m) = 1 / (d^2 + m^2 / 2)``.  What measurements say, with the
-    information ``J = 1 / v - p(m)``, is forgotten.  Before a measurement of the block,
+    Its log ``m`` is a first-order autoregressive process around 0, the noise as stated, which is known with variance
+    ``v``.  Before a measurement of the block,
 
-        v' <- 1 / (a J + p(m)),      m <- a m v' / v,      v <- v',      a = exp(-1 / memory).
+        m <- a m,          v <- a^2 v + (1 - a^2) d^2,      a = exp(-1 / memory).
 
     What a measurement says waits for the next one.  Of an inlier, let ``r`` be the residual after the update and ``h``
     the variance of what is measured, both in units of the noise, and ``e`` the innovation of the next measurement.  If
@@ -75,14 +73,10 @@ class LearnedNoise(nn.Module):
     standard deviations counts as that far.  So after a measurement, with sums over the block's elements, and means of
     ``h`` and ``s`` in ``c``,
 
-        v <- 1 / (1 / v + sum (1 - h) / c),      m' <- m + v sum x / c,
-
-    and, as the prior is another one where the log is ``m'``,
-
-        v' <- 1 / (1 / v - p(m) + p(m')),      m <- m' v' / v,      v <- v'.
+        v <- 1 / (1 / v + sum (1 - h) / c),      m <- m + v sum x / c.
 
     Args:
-        doubt: standard deviation ``d`` of the log of that factor, near what is stated.
+        doubt: standard deviation ``d`` of the log of that factor.
         memory: number of measurements after which what was learned has fallen to 37 %.
         least: factor on the stated variance below which the noise is not taken to be.  Errors that last, as of a
             receiver that smooths, look like motion: by ``x`` the noise is what is left of them, where it is stated
@@ -106,7 +100,7 @@ class LearnedNoise(nn.Module):
     def begin(self, like: Tensor, size: int) -> NoiseScale:
         """The noise as stated, for ``like (..., B)`` and ``size`` elements."""
         none, empty = torch.zeros_like(like), like.new_zeros(*like.shape[:-1], size)
-        return NoiseScale(none, 1 / self._prior(none), LastResidual(*[empty] * 5))
+        return NoiseScale(none, none + self._doubt(like).square(), LastResidual(*[empty] * 5))
 
     def predict(self, noise: NoiseScale, measured: Tensor) -> NoiseScale:
         """What is known before a step.
@@ -116,9 +110,9 @@ class LearnedNoise(nn.Module):
             measured: ``(..., B)`` 1 where the step has a measurement of a block, else 0.
         """
         lasts = torch.exp(-measured / self.noise_memory(noise.log_scale).unsqueeze(-1))
-        prior = self._prior(noise.log_scale)
-        known = 1 / (lasts * _information(noise.variance, prior) + prior)
-        return noise._replace(log_scale=noise.log_scale * (lasts * known / noise.variance), variance=known)
+        doubt = self._doubt(noise.log_scale)
+        variance = lasts.square() * noise.variance + (1 - lasts.square()) * doubt.square()
+        return noise._replace(log_scale=lasts * noise.log_scale, variance=variance)
 
     def update(
         self, noise: NoiseScale, frame: Frame, expected: Gaussian, inliers: Tensor, probability: Tensor,
@@ -148,25 +142,16 @@ class LearnedNoise(nn.Module):
         rate = safe_divide(weight, 2 * shown + torch.maximum(*spreads))
         known = noise.variance / (1 + noise.variance * rate * shown)
         log_scale = noise.log_scale + known * rate * score
-        left = _information(known, self._prior(noise.log_scale))
-        variance = 1 / (left + self._prior(log_scale))
-        log_scale = log_scale * (variance / known)
         # What an outlier does not judge waits for the next inlier.
         now = *residuals, inlier / std, inlier
         waiting = LastResidual(*[x + (1 - inlier) * before for x, before in zip(now, last, strict=True)])
         if self.noise_least > 0:
             log_scale = log_scale.clamp_min(math.log(self.noise_least))
-        return NoiseScale(log_scale, variance, waiting)
+        return NoiseScale(log_scale, known, waiting)
 
-    def _prior(self, log_scale: Tensor) -> Tensor:
-        """The precision of the prior where the log of the factor is ``(..., B)``."""
-        precision: Tensor = 1 / (self.noise_doubt(log_scale).unsqueeze(-1).square() + 0.5 * log_scale.square())
-        return precision
-
-
-def _information(variance: Tensor, prior: Tensor) -> Tensor:
-    """What measurements say beside the precision of a prior: none of what is known less well, as after a merge."""
-    return (1 / variance - prior).clamp_min(0.0)
+    def _doubt(self, like: Tensor) -> Tensor:
+        doubt: Tensor = self.noise_doubt(like).unsqueeze(-1)
+        return doubt
 
 
 def by_block(elements: Tensor, blocks: Sequence[Sequence[int]]) -> Tensor:
