@@ -284,7 +284,7 @@ def jumped(
             size = min(max(jump * nis, 1.0), LARGEST)
             offset, widen = np.zeros_like(P), np.ones(len(mean))
             offset[position, position] = (size - 1) * P[position, position]  # independent of all else
-            far = math.sqrt(size * np.diag(P)[position].mean())
+            far = math.sqrt((size - 1) * np.diag(P)[position].mean())
             for order in (1, 2):  # velocity and acceleration: three times as large as before, at least
                 rates = range(order * position.stop, min((order + 1) * position.stop, len(mean)))
                 if len(rates) and np.diag(P)[rates].any():

@@ -635,12 +635,14 @@ class Regimes(Part):
         """
         mean, variances = stated.mean, stated.scale_tril.square().sum(-1)
         jump, rows = factors.sqrt(), dict[int, Tensor]()
-        offset = jump * safe_sqrt(taken(variances, range(motion.size)[motion.position], -1).mean(-1))
+        place, far = range(motion.size)[motion.position], torch.zeros_like(jump)
+        if place:
+            far = safe_sqrt((factors - 1) * taken(variances, place, -1).mean(-1))
         for order, part in enumerate(_derivatives(motion), 1):
             if part:
                 size = safe_sqrt(taken(mean, part, -1).square().sum(-1))
                 std = safe_sqrt(taken(variances, part, -1).mean(-1))
-                most = torch.maximum(jump, safe_divide(order * offset, std * since**order))
+                most = torch.maximum(jump, safe_divide(order * far, std * since**order))
                 rows |= dict.fromkeys(part, torch.minimum(most, safe_divide(FASTER * size, std).clamp_min(1.0)))
         each = [rows.get(i, torch.ones_like(jump)) for i in range(motion.size)]
         return torch.stack(torch.broadcast_tensors(*each), -1).unsqueeze(-1)
