@@ -167,7 +167,7 @@ def test_gpb_is_what_loops_over_hypotheses_say(motions, agile):
         keeps=[np.exp(-1 / last[3])],  # measurements
     )
     modes = oracle.OutlierModes(case.blocks, None, options["outlier_sizes"], options["outlier_shares"],
-                                 (15.0, 2.5), dt, unreliable=options["unreliable"])  # fmt: skip
+                                 (15.0, 2.5), unreliable=options["unreliable"])  # fmt: skip
     prior, models = gpb_loops.PRIOR, [gpb_loops.carried(m, dt) for m in bank]
     r = oracle.gpb(case.z, prior.mean.numpy(), prior.covariance.numpy(), models, case.model, regimes, modes,
                    options["prior_outlier"], options["prior_inflation"])  # fmt: skip

@@ -114,7 +114,6 @@ class OutlierModes(NamedTuple):
     sizes: list[float]
     shares: list[float]
     durations: tuple[float, float] | None = None  # instead of the transition: s without outliers, s that one lasts
-    dt: Array | None = None  # (T,) s, beside durations
     offsets: list[float] | None = None  # mean of the errors of outliers of each size, in units of their noise
     inform: bool = True  # whether an outlier changes the belief
     same_offset: float = 0.0  # probability that an outlier after another has its offset; of linear sensors
@@ -612,10 +611,9 @@ class State(NamedTuple):
     outlier: Array  # (B,) of each block, in the mode with outliers
     last: Array  # (m,) the measurement
     unreliable: Array  # (2,B) probability that each device is, of every mode
-    elapsed: float = 0.0  # s since the last measurement, infinite before the first
     noise: Array | None = None  # (B,2) of the log of each block's noise scale: mean, variance
     waiting: Array | None = None  # (5,m) of each element: what its last residual says once the next one has come
-    since: float = 0.0  # s since the last measurement, 0 before the first
+    since: float = 0.0  # s since the last measurement, or since the prior
     count: float = 0  # of the measurements; minus the binary log of a mean of 1/2^count where these differ
     wider: float = 1.0  # than the inflated prior, at the first of them
 
@@ -630,7 +628,7 @@ def start(mean: Array, P: Array, regimes: Regimes, q: OutlierModes, prior_outlie
     noise = None if q.noise is None else np.tile([0.0, q.noise[0] ** 2], (len(q.blocks), 1))
     waiting = np.zeros((5, len(nothing)))
     unreliable = np.full((2, len(q.blocks)), q.unreliable)
-    return State(beliefs, log_regimes, np.zeros(len(q.blocks)), nothing, unreliable, math.inf, noise, waiting)
+    return State(beliefs, log_regimes, np.zeros(len(q.blocks)), nothing, unreliable, noise, waiting)
 
 
 class Hypothesis(NamedTuple):
@@ -747,11 +745,11 @@ def step(
     if known is not None:
         known = forgotten(known, q, z)
         model = louder(model, k, known, q)
-    seconds, since = 0.0 if q.dt is None else c.elapsed + q.dt[k], c.since + regimes.seconds_of(k)
+    since = c.since + regimes.seconds_of(k)
     log_pairs = regimes.pairs(c.log_regimes, not nothing, k)
     mixed, shares = interacted(c.beliefs, log_pairs, beliefs)
     predictions = predicted(mixed, motions, regimes, k)
-    over = q.over(seconds)
+    over = q.over(since if c.count else math.inf)
     begins = c.count < -math.log2(0.7)
     jump = jumped(mixed, motions, regimes, position, z, model, k, q, over, begins, since)
     predictions |= jump.predictions
@@ -816,7 +814,7 @@ def step(
             known, waiting = judged(known, waiting, about, 1 - outlier, expected, z, model, k, q.blocks)
             known[:, 0] = known[:, 0].clip(min=math.log(q.least)) if q.least else known[:, 0]
         output["noise"] = np.exp(known[:, 0])
-    now = State(after, log_regimes, c.outlier, z, c.unreliable, seconds, known, waiting, since, c.count, c.wider)
+    now = State(after, log_regimes, c.outlier, z, c.unreliable, known, waiting, since, c.count, c.wider)
     if nothing:
         output["outlier"] = np.zeros(len(c.outlier))
         return now, output, lagged
@@ -825,7 +823,7 @@ def step(
         np.sum([math.exp(h.log_weight - log_sum(log_regimes[i])) * h.unreliable for h in every if h.now == i], axis=0)
         for i in MODES
     ])  # fmt: skip
-    now = now._replace(outlier=outlier, unreliable=faulty, elapsed=0.0, since=0.0, count=c.count + 1, wider=wider)
+    now = now._replace(outlier=outlier, unreliable=faulty, since=0.0, count=c.count + 1, wider=wider)
     return now, output, lagged
 
 

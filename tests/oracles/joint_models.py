@@ -108,9 +108,10 @@ def regimes(
         unreliable = sum(w[:, None] * s.unreliable for w, (_, s) in zip(modes / modes.sum(0), parts, strict=True))
         nothing = np.full_like(parts[0][1].last, np.nan)  # no measurement is one target's alone
         count = -np.log2(sum(w * 0.5**s.count for w, s in parts))
-        wider = sum(w * s.wider for w, s in parts)
+        since, wider = (sum(w * getattr(s, name) for w, s in parts) for name in ("since", "wider"))
         with np.errstate(divide="ignore"):
             logs = np.log(chances)
-        return gpb.State(beliefs, logs, np.asarray(outlier), nothing, np.asarray(unreliable), count=count, wider=wider)
+        outlier, unreliable = np.asarray(outlier), np.asarray(unreliable)
+        return gpb.State(beliefs, logs, outlier, nothing, unreliable, since=since, count=count, wider=wider)
 
     return Target(gpb.start(mean, P, r, q, prior_outlier, prior_inflation), step, merge)

@@ -48,11 +48,11 @@ def test_alarms_are_those_of_loops_over_steps_and_blocks(make, chain):
     estimate = f(torch.as_tensor(case.z), PRIOR, dt=torch.as_tensor(DT))
     modes = oracle.OutlierModes(
         case.blocks, np.array(chain.get("outlier_transition", np.eye(2))), cases.VALUES["outlier_sizes"],
-        cases.VALUES["outlier_shares"], chain.get("outlier_durations"), DT, unreliable=cases.VALUES["unreliable"],
+        cases.VALUES["outlier_shares"], chain.get("outlier_durations"), unreliable=cases.VALUES["unreliable"],
     )  # fmt: skip
     r = oracle.gpb(
-        case.z, PRIOR.mean.numpy(), PRIOR.covariance.numpy(), [cases.carried(motion, DT)], case.model, of_oracle,
-        modes, 0.3, 50.0,
+        case.z, PRIOR.mean.numpy(), PRIOR.covariance.numpy(), [cases.carried(motion, DT)], case.model,
+        of_oracle._replace(steps=DT.__getitem__), modes, 0.3, 50.0,
     )  # fmt: skip
     expected = oracle.alarms(r, case.z, case.model, case.blocks, DT, modes)
     for name, values in expected.items():

@@ -429,8 +429,8 @@ class Regimes(Part):
         as_stated, *agile = landed.split([jumps + 1, *[1] * (settled - 1)], axis)
         shares = [as_stated.sum(axis, keepdim=True)]
         if agile:
-            begins, stays = AGILE_AFTER, AGILE_STAYS
-            shares = [(1 - begins) * shares[0] + (1 - stays) * agile[0], begins * shares[0] + stays * agile[0]]
+            becomes = AGILE_AFTER * shares[0] + AGILE_STAYS * agile[0]
+            shares = [(1 - AGILE_AFTER) * shares[0] + (1 - AGILE_STAYS) * agile[0], becomes]
         return torch.cat([others, torch.zeros_like(landed.narrow(axis, 0, jumps)), *shares], axis)
 
     def jumped(self, compared: Whitened, nis: Tensor, count: Tensor, dims: int, first: Tensor) -> Jumped:
@@ -624,8 +624,9 @@ class Regimes(Part):
 
         A receiver that was reset moves as before, a target that was carried elsewhere in any direction, and faster: a
         standard deviation of the velocity is at least ``FASTER`` times the speed, and so is one of the acceleration of
-        its size.  But it is multiplied by no more than that of an element, or than what takes a target so far since
-        the last measurement: one that turns beyond all noise is first seen a little off its way.
+        its size.  But it is multiplied by no more than that of an element or, if that is more, than what takes the
+        target as far as it is off since the last measurement: one that turns beyond all noise is first seen a little
+        off its way.
 
         Args:
             stated: ``(1, 1, 2, ..., n)`` prediction as stated, any root.
@@ -635,9 +636,7 @@ class Regimes(Part):
         """
         mean, variances = stated.mean, stated.scale_tril.square().sum(-1)
         jump, rows = factors.sqrt(), dict[int, Tensor]()
-        place, far = range(motion.size)[motion.position], torch.zeros_like(jump)
-        if place:
-            far = safe_sqrt((factors - 1) * taken(variances, place, -1).mean(-1))
+        far = safe_sqrt((factors - 1) * variances[..., motion.position].sum(-1) / motion.dims)
         for order, part in enumerate(_derivatives(motion), 1):
             if part:
                 size = safe_sqrt(taken(mean, part, -1).square().sum(-1))
