@@ -456,7 +456,7 @@ def test_a_target_that_was_carried_elsewhere_may_move_as_fast_in_another_directi
 def test_a_turn_beyond_all_noise_is_hardly_ever_lost_for_eight_measurements_though_there_are_spikes_in_it():
     cell = OpenCell("spikes", index=0.012, turn=True, share=0.03, size=100.0)
     scenario = cell.scenario(steps=80)
-    tracks = scenario.simulate(100, 6)
+    tracks = scenario.simulate(200, 7)
     estimate = presets.gpb(scenario.motion, scenario.sensor)(tracks.z, tracks.prior, dt=scenario.dt)
     far = (estimate.mean - tracks.truth)[..., :2].norm(dim=-1) > 6 * cell.std
     assert far[:, 26:40].any()  # it is beyond all noise
