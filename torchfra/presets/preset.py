@@ -11,7 +11,7 @@ from typing import Any, ParamSpec, TypeVar
 
 from torchfra import register
 from torchfra.filters.base import Filter
-from torchfra.hyper import learnable, named
+from torchfra.hyper import named
 from torchfra.presets.options import Group
 from torchfra.presets.values import with_values
 
@@ -78,9 +78,12 @@ def _learning(f: F, names: Collection[str]) -> F:
     inner: Filter = f
     while isinstance(further := getattr(inner, "inner", None), Filter):
         inner = further
-    chosen = {id(hyper) for hyper in named(f, names).values() if not hyper.raw.requires_grad}
+    paths = named(f, names)
+    chosen = {id(hyper) for hyper in paths.values() if not hyper.raw.requires_grad}
     for part in ("motion", "sensor", "robust"):
         model = getattr(inner, part, None)
         if model is not None and any(id(hyper) in chosen for hyper in model.modules()):
             setattr(inner, part, copy.deepcopy(model))
-    return learnable(f, names)
+    for path in paths:
+        f.get_submodule(path).learn(path)  # type: ignore[operator]  # a Hyper, which may be a copy now
+    return f
