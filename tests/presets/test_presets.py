@@ -203,3 +203,17 @@ def test_an_outlier_is_a_probability_whatever_the_filter_decides():
         assert outlier[7].min() > 0.99
         assert outlier[:6].max() < 0.01
         assert getattr(presets, name)(motion, sensor)(z.expand(3, -1, -1), prior).info.outlier[2].allclose(outlier)
+
+
+@pytest.mark.parametrize(
+    ("name", "path"),
+    [("srckf", "motion.q"), ("rsrckf", "robust.threshold"), ("fra", "robust.threshold"), ("gpb", "prior_outlier")],
+)
+def test_values_under_vmap_are_a_loop_over_them(make, tracks, name, path):
+    f = make(name)
+    raws = dict(f.named_buffers())[f"{path}.raw"] + torch.linspace(-0.5, 0.5, 2).double()
+
+    def mean(raw):
+        return torch.func.functional_call(f, {f"{path}.raw": raw}, (tracks.z, tracks.prior), {"u": tracks.u}).mean
+
+    torch.testing.assert_close(torch.func.vmap(mean)(raws), torch.stack([*map(mean, raws)]), rtol=1e-9, atol=1e-6)
