@@ -49,6 +49,14 @@ def test_values_of_scenes_work_with_scans_of_one():
         torch.testing.assert_close(state.belief.mean[1], one.mean[:, 0])
 
 
+def test_a_gate_that_is_replaced_later_has_values_of_each_scene_too():
+    z = torch.randn(6, 3, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    prior, values = flat_prior((0.0, 0.0), (3.0, 1.0)), torch.tensor([[0.9], [0.5], [0.1]], dtype=torch.float64)
+    later = plane()
+    later.gate = ChiSquare(values)
+    torch.testing.assert_close(later(z, prior).mean, plane(gate=ChiSquare(values))(z, prior).mean)
+
+
 def test_info_counts_repairs_and_holds_the_weights_of_robust_filters(crossing, scans):
     robust = presets.jpda(crossing.motion, crossing.sensor, clutter=crossing.clutter, inner=presets.rsrckf)
     info = robust(scans.z, scans.prior).info

@@ -21,6 +21,7 @@ from torchfra.motion import (
     Embedded,
     Motion,
 )
+from torchfra.robust import Huber
 from torchfra.sensors import Position
 from torchfra.types import Gaussian
 
@@ -176,6 +177,21 @@ def test_the_filter_that_is_handed_in_stays_as_it_was_and_a_copy_of_it_runs():
     assert f.inner.robust.threshold().shape == (2, 1)  # one for all models of each track
     f.motion[0].q.set(7.0)
     assert bank[0].q() != 7.0
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_a_part_that_is_replaced_later_has_values_of_each_track_too(compiled):
+    thresholds = torch.tensor([0.3, 3.0]).double()  # of as many tracks as models
+    bank, z = [ConstantVelocity(q) for q in (0.1, 10.0)], torch.tensor([3.0, -2.0]).double().expand(2, 5, 2)
+    prior = Gaussian(torch.zeros(4).double(), 5 * torch.eye(4).double())
+    given = presets.imm(bank, Position(1.0), inner=lambda *models: presets.rsrckf(*models, threshold=thresholds))
+    later = presets.imm(bank, Position(1.0), inner=presets.rsrckf)
+    later.inner.robust = Huber(thresholds)
+    if compiled:
+        later.compile()
+    same(later(z, prior).mean, given(z, prior).mean)
+    state, _ = later.step(later.init(Gaussian(prior.mean.expand(2, 4), prior.scale_tril)), z[:, 0])
+    same(state.belief.mean, given(z, prior).mean[:, 0])
 
 
 def test_a_smaller_state_is_put_into_the_larger_one_by_maps():

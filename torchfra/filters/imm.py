@@ -29,12 +29,12 @@ from torchfra.filters.model_smoothing import Models, ModelsPast, ModelsStep, est
 from torchfra.gaussian.inputs import BackwardStep, Frame
 from torchfra.gaussian.mixture import models_first, repeated
 from torchfra.gaussian.model import canonical
-from torchfra.hyper import Hyper, Value, hypers
+from torchfra.hyper import Hyper, Value
 from torchfra.linalg.safe import safe_log
 from torchfra.motion.bank import Bank
 from torchfra.numbers import as_numbers
 from torchfra.steps.records import Record, Smoothed
-from torchfra.steps.recursion import Mix
+from torchfra.steps.recursion import Mix, note_shared
 from torchfra.types import Gaussian
 
 
@@ -82,6 +82,7 @@ class IMM(Around[IMMState]):
     Source: Blom & Bar-Shalom (1988); Du & Zhang (2020), eqs. (5)-(11).  Differs: no probability has a floor.
     """
 
+    of_models = True
     transition: Hyper | None
     """None if ``self_transition`` or ``durations`` alone was given."""
     self_transition: Hyper | None
@@ -100,10 +101,7 @@ class IMM(Around[IMMState]):
             expected = "SRCKF or FRA around a Bank, or a filter whose advance takes a mix"
             raise ValueError(f"inner: expected {expected}, received {received}")
         super().__init__(copy.deepcopy(inner), inner.sensor)
-        for part in self.inner.children():
-            if part is not self.inner.motion and part is not self.inner.sensor:
-                for hyper in hypers(part).values():
-                    hyper.shared_dims = 1  # all models share the values of their track
+        note_shared(self)
         count = len(self.motion)
         if durations is not None and self_transition is not None:
             raise ValueError("self_transition, durations: expected one of the two, received both")

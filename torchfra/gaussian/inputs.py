@@ -194,14 +194,14 @@ def batch_rank(module: nn.Module) -> int:
     return max([0, *[len(x) for x in value_batches(module).values()]])
 
 
-def broadcast_with_values(module: nn.Module, batch: torch.Size) -> torch.Size:
-    """The batch of tracks broadcast with the batches of all hyperparameters of a filter.
+def broadcast_with_values(batch: torch.Size, batches: dict[str, torch.Size]) -> torch.Size:
+    """The batch of tracks broadcast with the ``batches`` of hyperparameters, by path.
 
     Raises:
         ValueError: values that do not broadcast with the tracks.
     """
     common = batch
-    for path, values in value_batches(module).items():
+    for path, values in batches.items():
         try:
             common = broadcast_shapes(common, values)
         except RuntimeError:

@@ -32,7 +32,7 @@ from torchfra.gaussian.inputs import (
 from torchfra.gaussian.model import Propagated, compare, predict, propagate
 from torchfra.gaussian.rules import Rule
 from torchfra.gaussian.smoothing import smooth_step
-from torchfra.hyper import Part
+from torchfra.hyper import Part, hypers
 from torchfra.linalg.batches import broadcast_shapes
 from torchfra.linalg.triangular import tria
 from torchfra.motion.bank import Bank
@@ -109,6 +109,8 @@ class Recursion(Part, Generic[S]):
 
     scans = False
     """Whether a measurement is a scan ``(..., T, J, m)``, and beliefs are those of targets ``(..., N, n)``."""
+    of_models = False
+    """Whether an inner filter has the models of a bank as the last dimension of its batch."""
     limits = Limits()
     motion: Motion
     sensor: Sensor
@@ -256,15 +258,18 @@ class Recursion(Part, Generic[S]):
         batch = check(measurements, prior, self.motion, sensor.size, scans=self.scans, name=name, zero_dt=zero_dt)
         if measurements.noise is not None:
             innermost(self).check_noise(sensor, measurements.noise)
+        batches = value_batches(self)
+        if batches and not torch.compiler.is_compiling():
+            note_shared(self)
         if self.scans:  # targets, whose values may differ, are no part of the batch
             count = prior.mean.shape[-2]
-            for path, values in value_batches(self).items():
+            for path, values in batches.items():
                 if values[-1] not in (1, count):
                     expected = f"a value for each of {count} targets or one for all"
                     raise ValueError(f"{path}: expected {expected}, received {tuple(values)}")
             batch = torch.Size((1,) * (batch_rank(self) - 1 - len(batch))) + batch
         else:
-            batch = broadcast_with_values(self, batch)
+            batch = broadcast_with_values(batch, batches)
         warn_of_lost_digits(measurements, sensor, len(batch) + self.scans, scans=self.scans)
         warn_of_degrees(measurements.z, sensor)
         if name == "prior":
@@ -276,6 +281,20 @@ class Recursion(Part, Generic[S]):
         """A frame for each step, and the log norms of the measurement noise, time first."""
         f = innermost(self)
         return make_frames(measurements, f.motion, measurements.sensor or f.sensor, rank)
+
+
+def note_shared(f: Recursion) -> None:
+    """Notes of each value over how many dimensions behind its tracks it is shared: parts may have been replaced."""
+    shared = dict.fromkeys(hypers(f).values(), int(f.scans))  # all measurements share the values of their target
+    layer = f
+    while isinstance(inner := getattr(layer, "inner", None), Recursion):
+        own = [part for part in inner.children() if part is not inner.motion and part is not inner.sensor]
+        for hyper in {hyper for part in own if layer.of_models for hyper in hypers(part).values()}:
+            shared[hyper] += 1  # all models share those of their track
+        layer = inner
+    for hyper, count in shared.items():
+        if hyper.shared_dims != count:
+            hyper.shared_dims = count
 
 
 def innermost(f: Recursion) -> Recursion:

@@ -35,12 +35,12 @@ from torchfra.filters.soft import Soft
 from torchfra.filters.srckf import SRCKF, State
 from torchfra.gaussian.inputs import BackwardStep, CompleteScans, Frame, Measurements, make_frames
 from torchfra.gaussian.update import density, innovation
-from torchfra.hyper import Hyper, Value, hypers
+from torchfra.hyper import Hyper, Value
 from torchfra.linalg.tracing import is_traced
 from torchfra.numbers import as_number
 from torchfra.sensors.base import Sensor
 from torchfra.steps.records import Past, Record, Smoothed
-from torchfra.steps.recursion import HasBelief, Limits
+from torchfra.steps.recursion import HasBelief, Limits, note_shared
 from torchfra.types import Gaussian, Whitened
 
 Associate = Callable[[Scan, Tensor], Association]
@@ -142,8 +142,7 @@ class JPDA(Soft, Around[JPDAState]):
             raise ValueError(f"permutations: expected True or False, received {permutations!r}")
         self.exact, self.lost, self.permutations = exact, lost, permutations
         self.temperature = temperature
-        for hyper in hypers(self).values():
-            hyper.shared_dims += 1  # all measurements share the values of their target
+        note_shared(self)
 
     @property
     def sensor(self) -> Sensor:  # type: ignore[override]
