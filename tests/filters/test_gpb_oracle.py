@@ -102,6 +102,13 @@ def test_a_start_so_wide_that_points_on_all_sides_of_an_anchor_are_equally_far()
     assert (error[1:-4] < 20).all()  # then it jumps
 
 
+def test_a_prior_that_is_far_off():
+    case, motion, (options, r) = position(), ConstantAcceleration(0.05), regimes(*TWO)
+    off = PRIOR._replace(mean=PRIOR.mean + tensor([2e3, -1e3, 0, 0, 0, 0]))
+    same(presets.gpb(motion, case.sensor, **options)(tensor(case.z), off),
+         expected(case, [carried(motion, 1.0)], r, prior=off))  # fmt: skip
+
+
 @pytest.mark.parametrize("least", [0.0, 0.9, 1.0])
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_noise_that_is_learned(sensor, least):

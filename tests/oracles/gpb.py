@@ -755,9 +755,9 @@ def step(
     predictions |= jump.predictions
     moved = paths(mixed, predictions, regimes, jump.factors, q, k) if q.same_offset else {}
     chance = np.array([[log_sum(log_pairs[q, :, r]) for r in range(len(beliefs))] for q in MODES])
-    # What a settled target does not know is no evidence, from the fourth measurement on.
+    # What a settled target does not know is no evidence, from the seventh measurement on.
     unknown = np.zeros(2)
-    if c.count >= -math.log2(0.2):
+    if c.count >= -math.log2(0.02):
         unknown = given(predictions, regimes, jump, chance, z, model, k)
     jumps = regimes.jumping
     if jumps and not nothing:  # as likely as all regimes together that are not settled, but for how rare they are
@@ -771,7 +771,7 @@ def step(
             for key, (mean, P) in predictions.items()
             if key[0] and key[1] not in jumps
         }
-        rare = [min(i * 3 * math.log(wider), (PRIOR_BURST + i - 1.8) * jump.costs[1]) for i in (1, 2)]
+        rare = [min(i * 3 * math.log(wider), (PRIOR_BURST + i - 1.6) * jump.costs[1]) for i in (1, 2)]
     if -math.log2(0.7) <= c.count < -math.log2(0.2) and wider > 1 and not nothing:
         # What a prior that is off does not know is no evidence.
         m = read(predictions[0, 0], z, model, k)

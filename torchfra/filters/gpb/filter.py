@@ -71,11 +71,12 @@ from torchfra.types import Alarm, Gaussian, Whitened
 
 PRIOR_MARGIN = 4.0
 """Factor on the covariance of an outlying prior beyond what the residual of the first measurement asks for."""
-FIRST, THIRD = 0.7, 0.2
-"""Values of ``doubt`` above which a measurement is the first, or one of the first three: between 1, 1/2, 1/4 and 1/8,
+FIRST, THIRD, SIXTH = 0.7, 0.2, 0.02
+"""Values of ``doubt`` above which a measurement is the first, or one of the first three or six: between powers of 1/2,
 so that no rounding of a mean over hypotheses decides."""
-PRIOR_SOONER = 0.8
-"""By how many outliers a prior that is off is likelier than one more than ``PRIOR_BURST``, as ``regimes.SOONER``."""
+PRIOR_SOONER = 0.6
+"""By how many outliers a prior that is off is likelier than one more than ``PRIOR_BURST``, as ``regimes.SOONER``, and
+by 0.4 of one less likely than so many: a thousandth of a prior that is off by 1e5 standard deviations would be 100."""
 PRIOR_STEEP = 3.0
 """Power of the widening by which a prior that is off is rarer at most: nothing jumps where it begins to be off."""
 
@@ -368,7 +369,7 @@ class GPB(Filter[GPBState]):
             given = self.regimes.unknown(found, fit, jumped.expected, least, log_weight, count)
             given = given.clamp_max(most_given(self.motion))
             # Where half of all measurements are outliers from the beginning, the first of them would be a path.
-            given = torch.where(doubt > THIRD, 0.0, given)
+            given = torch.where(doubt > SIXTH, 0.0, given)
         surprise = Surprise(nis, rarity, cost, given)
         widening = self.widening(Gaussian(mean[0, 0, -1], root[0, 0, -1]), frame, doubt)
         predicted = Gaussian(mean, self.outlying_rows(widening) * root)
