@@ -89,7 +89,7 @@ class LearnedNoise(nn.Module):
     that follow a score, scaled by its information; Sarkka & Nummenmaa (2009) for learning the noise with forgetting.
     """
 
-    def __init__(self, doubt: Value = 0.5, memory: Value = 200.0, least: float = 0.5) -> None:
+    def __init__(self, doubt: Value = 0.7, memory: Value = 400.0, least: float = 0.5) -> None:
         super().__init__()
         self.noise_least = as_number(least)
         if not 0 <= self.noise_least <= 1:
