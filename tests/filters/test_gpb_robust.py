@@ -479,6 +479,18 @@ def test_a_confused_start_does_not_take_a_heading_away():
     assert (off[:, -10:].mean(-1) < 20 * scenario.sensor.std()).all()
 
 
+def test_two_far_outliers_on_one_side_at_the_beginning_hardly_pull_the_estimate():
+    g, runs, steps = torch.Generator().manual_seed(5), 200, 12
+    prior = Gaussian(torch.zeros(4, dtype=torch.float64), torch.diag(tensor([2, 2, 1, 1])))
+    first = torch.randn(runs, 4, generator=g, dtype=torch.float64) @ prior.scale_tril
+    truth = first[:, None, :2] + first[:, None, 2:] * torch.arange(1.0, steps + 1)[:, None]
+    z = truth + torch.randn(truth.shape, generator=g, dtype=torch.float64)
+    angle = torch.rand(runs, 2, generator=g, dtype=torch.float64) * torch.pi / 2
+    z[:, :2] += 1e5 * torch.stack([angle.cos(), angle.sin()], -1)
+    e = presets.gpb(ConstantVelocity(1e-4, continuous=True), Position(1.0))(z, prior)
+    assert (e.mean[..., :2] - truth).norm(dim=-1).max() < 20
+
+
 def test_three_outliers_at_the_beginning_that_disagree_are_no_prior_that_is_off():
     """With a wide acceleration any three places would agree, where the third comes later."""
     scenario = OpenCell(motion="acceleration", index=0.015, dt=4.0).scenario(steps=40)
