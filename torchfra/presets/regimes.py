@@ -36,7 +36,7 @@ MANOEUVRES: dict[str, dict[str, Any]] = {
     },
     "slips": {
         "noise_levels": (1.0, 142.0), "separate_levels": 1, "manoeuvre_factors": (), "jump_factors": (7.56,),
-        "durations": (1078, 19.5, 25.27, 2.0), "restart": (0.076, 0.006, 0.908, 0.01),
+        "durations": (1078, 500.0, 25.27, 2.0), "restart": (0.076, 0.006, 0.908, 0.01),
     },
     **_and_hard({
         "noise_levels": (0.00612, 0.08, 1.0, 30.0, 142.0, 2e4), "separate_levels": (0, 1, 3),
