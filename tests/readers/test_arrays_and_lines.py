@@ -62,17 +62,11 @@ def test_what_is_no_json_is_told_of_json_lines(write):
 # ---------------------------------------------------------------- a third dimension
 
 
-def test_a_z_that_is_the_same_everywhere_is_left_out_and_said(write):
-    path = write(["t,x,y,z", *(f"{t},{x},{y},1.5" for t, x, y, _ in TRACK)])
-    (track,) = read(path)
-    assert track.position.shape == (ROWS, 2)
-    assert "left out: z, which is 1.5 everywhere (option z takes it)" in track.source.notes
-    assert "position: x, y, in metres; option units takes others" in track.source.notes
-    assert read(path, z="z")[0].position.shape == (ROWS, 3)
-
-
-def test_positions_of_an_array_keep_their_dimensions():
-    assert torchfra.clean((TIME, np.pad(TRACK[:, 1:3], ((0, 0), (0, 1))))).position.shape == (ROWS, 3)
+def test_a_z_that_is_the_same_everywhere_is_a_dimension_and_changes_no_other(write):
+    (track,) = read(write(["t,x,y,z", *(f"{t},{x},{y},1.5" for t, x, y, _ in TRACK)]))
+    assert track.position[:, 2].tolist() == [1.5] * ROWS
+    flat, solid = (torchfra.clean((TIME, track.position[:, :d])) for d in (2, 3))
+    np.testing.assert_allclose(solid.position[:, :2], flat.position, atol=0.1 * flat.std.mean())
 
 
 # ---------------------------------------------------------------- tables in memory

@@ -77,12 +77,10 @@ def test_what_stands_for_none_is_numbers(track):
         track(lat=LATITUDE, lon=LONGITUDE, missing="-999;9999")
 
 
-def test_altitudes_that_are_all_0_are_missing(track):
-    found = track(lat=LATITUDE, lon=LONGITUDE, alt=np.zeros(ROWS))
-    assert found.position.shape == (ROWS, 2)
-    assert found.repairs == {"altitudes of 0 taken as missing": ROWS}
-    assert track(lat=LATITUDE, lon=LONGITUDE, alt=np.arange(ROWS) // 20).position.shape == (ROWS, 3)
-    assert track(x=LATITUDE, y=LONGITUDE, z=np.arange(ROWS) // 20).position.shape == (ROWS, 3)
+def test_altitudes_that_are_all_0_are_altitudes_until_it_is_said(track):
+    columns = {"lat": LATITUDE, "lon": LONGITUDE, "alt": np.zeros(ROWS)}
+    assert track(**columns).position.shape == (ROWS, 3)
+    assert track(**columns, missing="0").position.shape == (ROWS, 2)
 
 
 def test_arrays_keep_their_length_where_a_number_stands_for_none():

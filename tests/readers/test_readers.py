@@ -417,7 +417,7 @@ def test_shuffling_rows_with_dates_gives_the_same_recording(write: Write, count:
 def test_a_csv_round_trip_keeps_times_and_positions(write: Write, rows: list[tuple[float, ...]]) -> None:
     rows = [(i + row[0] / 1e5, i + row[1] / 1e7, *row[2:]) for i, row in enumerate(rows)]
     text = "t,x,y,z\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows)
-    track = only(write("p.csv", text), z="z")  # by its name: one that is the same everywhere is left out else
+    track = only(write("p.csv", text))
     np.testing.assert_array_equal(np.column_stack([track.time, track.position]), rows)
     assert track.repairs == {}
 

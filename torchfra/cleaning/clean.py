@@ -240,8 +240,7 @@ def _recording_of_arrays(data: object, words: dict[str, Any]) -> Recording:
         position = np.where(missing, position[np.where(last < 0, (known >= 0).argmax(), last)], position)
     table = {"t": time, **{axis: position[:, i] for i, axis in enumerate("xyz"[: position.shape[1]])}}
     sheet = Sheet([*table], [(len(time), table.__getitem__)])
-    third = {"z": "z"} if "z" in table else {}  # by its name, so that it stays one where it is constant
-    (recording,) = read_sheet(sheet, "data", **third, **words)
+    (recording,) = read_sheet(sheet, "data", **words)
     assert recording.row is not None
     if not np.array_equal(recording.row, np.arange(len(time))):
         received = ", ".join(f"{count} {what}" for what, count in recording.repairs.items())

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,9 +18,6 @@ from torchfra.readers.repairs import Target, repaired_targets
 from torchfra.readers.sanity import checked
 from torchfra.readers.sheets import Sheet
 from torchfra.readers.tables import Table, Wanted, naming, read_table, table_of
-
-_ENOUGH = 25
-"""Heights that are all the same from which on they are no third dimension."""
 
 
 def read(
@@ -118,8 +114,6 @@ def _recordings(
     layout = reader.layout
     if not layout.degrees and origin is not None:
         raise ValueError(f"origin: expected degrees beside it, received the columns {listed(table.names)}")
-    if not apart:
-        layout = _without_constant_z(table, layout)
     targets = repaired_targets(table, layout, stem)
     shared = _origin(targets[0], origin) if layout.degrees and not apart else None
     own = [layout.degrees and (shared is None or (origin is None and _hidden(target, shared))) for target in targets]
@@ -127,21 +121,6 @@ def _recordings(
     recordings = [_recording(target, layout, about) for target, about in zip(targets, origins, strict=True)]
     places = np.concatenate([target.place for target in targets])
     return sorted(checked(recordings, layout, places), key=lambda recording: recording.name)
-
-
-def _without_constant_z(table: Table, layout: Layout) -> Layout:
-    """Leaves out a z that is the same everywhere, as of what moves in a plane, unless it is asked for by its name."""
-    z = layout.columns.get("z", "")
-    heights = table.column(z)
-    known = heights[np.isfinite(heights)]
-    if layout.stated.z is not None or len(known) < _ENOUGH or np.ptp(known) > 0:
-        return layout
-    said = f"left out: {z}, which is {known[0] / layout.source.unit:g} everywhere (option z takes it)"
-    columns = {role: name for role, name in layout.columns.items() if role != "z"}
-    public = {role: name for role, name in layout.source.columns.items() if role != "z"}
-    notes = [note.replace(f", {z}", "", 1) if note.startswith("position:") else note for note in layout.source.notes]
-    source = replace(layout.source, columns=public, notes=(*notes, said))
-    return replace(layout, columns=columns, source=source)
 
 
 def _origin(first: Target, origin: Origin | None) -> Origin:

@@ -157,9 +157,6 @@ class _Columns:
         null = (self.place == 0).all(1)
         near = (np.abs(self.place) < _NULL_ISLAND).all(1) & ~null
         absent = null & (layout.degrees and not near.any() and not null.all())
-        zero = self.height == 0
-        self.no_height = zero & (layout.degrees and (zero | np.isnan(self.height)).all())
-        self.height = np.where(self.no_height, np.nan, self.height)
         if "none" not in (layout.stated.missing or "").split(","):
             lengths = {layout.columns[role]: column(role) / layout.source.unit
                        for role in ("altitude", "x", "y", "z") if role in layout.columns}  # fmt: skip
@@ -293,14 +290,12 @@ class _Columns:
         # The two differ by the weather, up to hundreds of metres: where both were taken, one would be an outlier.
         use_spare = 2 * own.sum() < spare.sum()
         heights, some = (self.spare[index], spare) if use_spare else (self.height[index], own)
-        zeros = self.no_height[index] & ~some
-        repairs["altitudes of 0 taken as missing"] = int(zeros.sum())
         if not some.any():
             return None, None
         before = np.maximum.accumulate(np.where(some, np.arange(len(index)), -1))
         row = np.where(before < 0, some.argmax(), before)
         repairs["altitudes taken from geoaltitude"] = int(some.sum()) if use_spare else 0
-        repairs["altitudes missing"] = int((~some & ~zeros).sum())
+        repairs["altitudes missing"] = int((~some).sum())
         return heights[row], ~some
 
     def sigmas(self, index: NDArray[np.intp], repairs: Counter[str], dims: int) -> Array | None:
