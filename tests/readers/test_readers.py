@@ -251,11 +251,12 @@ def test_missing_altitudes_are_filled_and_counted(write: Write) -> None:
     assert track.filled.tolist() == [True, False, True, True, False]
 
 
-def test_geoaltitude_stands_in_for_baroaltitude_where_there_is_more_than_twice_as_much_of_it(write: Write) -> None:
-    rows = [f"{t},a,47.0{t},8.0,,{up},{t}" for t, up in enumerate(["500,550", ",560", ",570", ","])]
-    track = only(write("s.csv", states(*rows)), origin=CENTRE)
-    assert track.repairs == {"altitudes taken from geoaltitude": 3, "altitudes missing": 1}
-    np.testing.assert_allclose(track.position[:, 2], [550, 560, 570, 570], atol=1)
+def test_geoaltitude_is_taken_where_there_is_no_baroaltitude_or_it_is_asked_for(write: Write) -> None:
+    for baro, words in (("", {}), ("500", {"alt": "geoaltitude"})):
+        rows = [f"{t},a,47.0{t},8.0,,{baro},{up},{t}" for t, up in enumerate(["550", "560", "570", ""])]
+        track = only(write("s.csv", states(*rows)), origin=CENTRE, **words)
+        assert track.repairs == {"altitudes missing": 1}
+        np.testing.assert_allclose(track.position[:, 2], [550, 560, 570, 570], atol=1)
 
 
 def test_geoaltitude_does_not_mix_with_baroaltitude_from_which_it_differs_by_the_weather(write: Write) -> None:

@@ -69,7 +69,7 @@ _JAVA = "%a %b %d %H:%M:%S GMT%z %Y|%a %b %d %H:%M:%S UTC %Y|%d-%b-%Y %H:%M:%S"
 FORMATS = (
     # ---------------------------------------------------------------- aircraft
     Format("state vectors of OpenSky", "icao24 lastposupdate baroaltitude|geoaltitude", word="aircraft",
-           columns={"altitude": "baroaltitude", "second": "geoaltitude", "update": "lastposupdate"}),
+           columns={"altitude": "baroaltitude|geoaltitude", "update": "lastposupdate"}),
     Format("traffic", "timestamp lastposition", word="aircraft", columns={"update": "lastposition"}, units=_FEET),
     Format("traffic", "timestamp altitude groundspeed track verticalrate", word="aircraft", units=_FEET,
            columns={"id": "icao24|flightid|callsign"}),

@@ -49,7 +49,7 @@ _ANGLES, _OF_AIRCRAFT = {"azimuth", "az"}, {"gs", "groundspeed", "verticalrate",
 _OF_HEIGHTS = {"msl", "amsl", "asl", "agl", "hae", "mean", "above", "sea", "ground", "level", "ellipsoid", "wgs", "egm",
                "84", "96", "wgs84", "egm96", "gps", "gnss", "baro", "barometric", "pressure"}  # fmt: skip
 """Words in brackets behind heights that are no unit."""
-_PRIVATE = ("call", "update", "second", "valid", "zone", *SIDES, *MARKS)
+_PRIVATE = ("call", "update", "valid", "zone", *SIDES, *MARKS)
 """What columns hold that ``Source.columns`` does not name."""
 WORDS_OF_MARKS = {"true": 1.0, "false": 0.0, "1": 1.0, "0": 0.0, "t": 1.0, "f": 0.0, "yes": 1.0, "no": 0.0}
 """What marks say, in small letters."""
@@ -73,7 +73,7 @@ class Layout:
     wanted: dict[str, Kind | None]
     """The columns to read by their names, and the kind of their numbers; None for text."""
     columns: dict[str, str]
-    """Names of columns by what they hold: those of ``Source.columns``, ``call``, ``update``, ``second``, ``valid``,
+    """Names of columns by what they hold: those of ``Source.columns``, ``call``, ``update``, ``valid``,
     ``MARKS``."""
     noise: tuple[str, ...]
     """Columns of which ``per_axis`` makes standard deviations, one for all axes or one for each."""
@@ -165,14 +165,15 @@ def layout_of(head: Head, options: ReadOptions, name: str) -> Layout:
 
 
 def _of_format(format: Format, head: Head) -> dict[str, tuple[str, ...]]:
-    """The columns that a format says, of those that there are."""
+    """The columns that a format says, of those that there are; of several the first that is not empty."""
     named = {plain(name): name for name in reversed(head.names)}
-    columns = {}
-    for role, words in format.columns.items():
-        every = [next((named[one] for one in word.split("|") if one in named), "") for word in words.split()]
-        if not words or all(every):
-            columns[role] = tuple(every)
-    return columns
+
+    def column(word: str) -> str:
+        there = [named[one] for one in word.split("|") if one in named]
+        return next((one for one in there if texts_of(head.cells(one))), *there[:1] or [""])
+
+    every = {role: tuple(map(column, words.split())) for role, words in format.columns.items()}
+    return {role: columns for role, columns in every.items() if all(columns)}
 
 
 def _stated(columns: Mapping[str, str]) -> dict[str, str]:
@@ -264,7 +265,7 @@ def _labels(head: Head, roles: Mapping[str, tuple[str, ...]], word: str) -> dict
     likely |= {role: found(head.names, role)[:1] for role in (MARKS if word == "animal" else ())}
     likely["valid"] = [one for one in found(head.names, "valid")
                        if any(_WORDS_OF_FIXES.get(word, word) for word in map(word_of, head.cells(one)))]  # fmt: skip
-    likely |= {role: list(roles[role]) for role in ("update", "second") if role in roles}
+    likely |= {role: list(roles[role]) for role in ("update",) if role in roles}
     return {role: columns[0] for role, columns in likely.items() if columns}
 
 

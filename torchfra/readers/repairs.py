@@ -149,7 +149,7 @@ class _Columns:
         self.layout, self.clock, self.dated = layout, layout.clock, layout.clock.dated
         self.time = layout.clock.whole(table.column(layout.clock.column))
         self.place = np.stack([column("latitude", "x"), column("longitude", "y")], 1)
-        self.height, self.spare, self.update = column("altitude", "z"), column("second"), column("update")
+        self.height, self.update = column("altitude", "z"), column("update")
         for name in (layout.columns[role] for role in SIDES if role in layout.columns):
             for i, role in enumerate(("latitude", "longitude")):
                 if (np.isin(table.column(name), (i + 1, 3)) & (self.place[:, i] > 0)).any():
@@ -282,19 +282,13 @@ class _Columns:
             )  # fmt: skip
 
     def heights(self, index: NDArray[np.intp], repairs: Counter[str]) -> tuple[Array | None, NDArray[np.bool_] | None]:
-        """Altitudes, those that are missing as at the fix before (or after), and which are; None if all are missing.
-
-        They are all of one column: of the spare one, if that has more than twice as many.
-        """
-        own, spare = np.isfinite(self.height[index]), np.isfinite(self.spare[index])
-        # The two differ by the weather, up to hundreds of metres: where both were taken, one would be an outlier.
-        use_spare = 2 * own.sum() < spare.sum()
-        heights, some = (self.spare[index], spare) if use_spare else (self.height[index], own)
+        """Altitudes, those that are missing as at the fix before (or after), and which are; None if all are missing."""
+        heights = self.height[index]
+        some = np.isfinite(heights)
         if not some.any():
             return None, None
         before = np.maximum.accumulate(np.where(some, np.arange(len(index)), -1))
         row = np.where(before < 0, some.argmax(), before)
-        repairs["altitudes taken from geoaltitude"] = int(some.sum()) if use_spare else 0
         repairs["altitudes missing"] = int((~some).sum())
         return heights[row], ~some
 
