@@ -157,18 +157,6 @@ def test_records_of_fit_are_recognised_behind_an_index(rows):
     assert track.origin[:2] == pytest.approx((50, 7), abs=1e-6)
 
 
-@pytest.mark.parametrize("pair", ['"50.{i},7.1"', '"50.{i}, 7.1"'])
-def test_pairs_of_degrees_are_read_among_other_quoted_cells(rows, pair):
-    cells = ('"{time}"', '"2024-06-03T08:15:{i}Z"', '"AB1"', pair, '"1000"')
-    path = rows(
-        '"Timestamp","UTC","Callsign","Position","Altitude"',
-        lambda i: (",".join(cells).format(i=10 + i, time=START),),
-        40,
-    )
-    (track,) = read(path)
-    assert track.origin[:2] == (50.1, 7.1)
-
-
 @pytest.mark.parametrize(
     "header", ["timestamp,time_utc_usec,lat,lon,alt,fix_type", "timestamp,time,latitudeE7,longitudeE7"]
 )

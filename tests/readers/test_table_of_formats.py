@@ -55,8 +55,6 @@ FILES = {
         lambda i, a, o: f"{START + i},abc,{a},{o},{1000 / 0.3048},{START + i}"),
     "BaseStation, of dump1090 on port 30003": "\n".join(rows(lambda i, a, o:
         f"MSG,3,1,1,4B1800,1,2024/06/03,08:15:{i:02}.000,2024/06/03,08:15:{i:02}.2,,{1000 / 0.3048},,,{a},{o},,,0,0,0,0")),
-    "Flightradar24": table("Timestamp,UTC,Callsign,Position,Altitude", lambda i, a, o:
-        f'{START + i},{day(i, "2024-06-03T08:15:")}Z,AB1,"{a},{o}",{1000 / 0.3048}'),
     "AeroAPI of FlightAware": table("timestamp,latitude,longitude,altitude,altitude_change,update_type",
         lambda i, a, o: f"{day(i, '2024-06-03T08:15:')}Z,{a},{o},{1000 / 30.48},C,A"),
     "ForeFlight": table("Timestamp,Latitude,Longitude,Altitude,Bank,Pitch,g Load",
@@ -120,6 +118,8 @@ REFUSED = {
         lambda i, a, o: f"{1000 * i},3,{a},{o},1000,121,200,1500"),
     "Google Smartphone Decimeter Challenge": table("utcTimeMillis,SvPositionXEcefMeters,SvPositionYEcefMeters,"
         "WlsPositionXEcefMeters,WlsPositionYEcefMeters,WlsPositionZEcefMeters", lambda i, a, o: f"{START}{i:03},1,2,3,4,5"),
+    "Flightradar24": table("Timestamp,UTC,Callsign,Position,Altitude", lambda i, a, o:
+        f'{START + i},{day(i, "2024-06-03T08:15:")}Z,AB1,"{a},{o}",{1000 / 0.3048}'),
     "ECEF": table("time,x-ecef(m),y-ecef(m),z-ecef(m)", lambda i, a, o: f"{i},4277000,625000,4671000"),
     "FIT as FitCSVTool writes its messages": "Type,Local Number,Message,Field 1,Value 1,Units 1\nData,0,file_id,type,4,\n",
     "Polar": "Name,Sport,Date,Start time\nMax,RUNNING,03-05-2026,08:12:13\nSample rate,Time,HR (bpm)\n1,00:00:00,140\n",

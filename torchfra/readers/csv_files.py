@@ -13,7 +13,7 @@ from itertools import islice
 from torchfra.readers.columns import Cells, Head, is_missing, number
 from torchfra.readers.formats import Format, format_of, format_of_text
 from torchfra.readers.hints import unclear
-from torchfra.readers.names import DEGREES, LENGTHS, OTHER_UNIT, TIMES, found, places_in, plain
+from torchfra.readers.names import DEGREES, LENGTHS, OTHER_UNIT, TIMES, found, places_in
 from torchfra.readers.names import unit as unit_of
 from torchfra.readers.options import AskError, ReadOptions, instead_of, listed, without_unit
 from torchfra.readers.sheets import Sheet, repeated
@@ -67,17 +67,10 @@ def csv_sheet(text: str, options: ReadOptions | None) -> Sheet:
         )
     said = ([] if sign == "," else [f"separated by {_SIGNS.get(sign, repr(sign))}"]) + said
     format = format or (format_of(names) if options is not None else None)
-    if pair := [name for name in names if format is not None and format.pair and plain(name) == format.pair]:
-        said.append(f"latitude, longitude: both in {pair[0]}")
-        names[names.index(pair[0])] = "latitude"
-        names.insert(names.index("latitude") + 1, "longitude")
     longer, place, width = Counter[str](), {name: i for i, name in enumerate(names)}, len(names)
 
     def mended(row: list[str], before: int) -> list[str]:
         """A row of another length: a comment, or one whose further fields are empty or not asked for."""
-        if pair and len(row) == width - 1:
-            at = place["latitude"]
-            return [*row[:at], *row[at].partition(",")[::2], *row[at + 1 :]]
         if format is not None and format.lines:
             return (row + [""] * width)[:width] if len(row) >= width / 2 else []
         if row[0].lstrip().startswith(_COMMENTS):

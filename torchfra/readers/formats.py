@@ -39,8 +39,6 @@ class Format(NamedTuple):
     """Degrees in one of its units of latitude and of longitude."""
     missing: Mapping[str, float] = {}
     """By column the number that stands for none."""
-    pair: str = ""
-    """Column with a latitude and a longitude in one cell."""
     header: str = ""
     """Of text: a pattern behind which the names stand, up to the end of the line; or the names, with commas between."""
     rows: str = ""
@@ -77,8 +75,8 @@ FORMATS = (
            header="message,transmission,session,aircraft,hex,flight,date,time,date_logged,time_logged,callsign,"
                   "altitude,speed,course,lat,lon,climb,squawk,alert,emergency,spi,on_ground",
            columns={"time": "date time", "id": "hex"}, time="%Y/%m/%d %H:%M:%S", units=_FEET),
-    Format("Flightradar24", "utc callsign position", word="aircraft", pair="position", units=_FEET,
-           columns={"time": "utc", "id": "callsign"}),
+    Format("Flightradar24", "utc callsign position", refused="Position has latitudes and longitudes in one cell: write "
+           "a column of each, lat and lon, instead"),
     Format("AeroAPI of FlightAware", "altitudechange updatetype", word="aircraft", units={"altitude": "FL"}),
     Format("ForeFlight", "bank pitch gload", word="aircraft", units=_FEET),
     Format("G1000", "lcldate lcltime utcofst", word="aircraft", time="%Y-%m-%d %H:%M:%S %z",
