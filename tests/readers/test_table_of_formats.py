@@ -121,13 +121,9 @@ REFUSED = {
     "Flightradar24": table("Timestamp,UTC,Callsign,Position,Altitude", lambda i, a, o:
         f'{START + i},{day(i, "2024-06-03T08:15:")}Z,AB1,"{a},{o}",{1000 / 0.3048}'),
     "ECEF": table("time,x-ecef(m),y-ecef(m),z-ecef(m)", lambda i, a, o: f"{i},4277000,625000,4671000"),
-    "FIT as FitCSVTool writes its messages": "Type,Local Number,Message,Field 1,Value 1,Units 1\nData,0,file_id,type,4,\n",
-    "Polar": "Name,Sport,Date,Start time\nMax,RUNNING,03-05-2026,08:12:13\nSample rate,Time,HR (bpm)\n1,00:00:00,140\n",
-    "MapSource or BaseCamp": "Grid\tLat/Lon hddd°mm.mmm'\nDatum\tWGS 84\n\nHeader\tPosition\tTime\n",
     "days of the year": table("year,doy,sod,lat,lon", lambda i, a, o: f"2024,155,{29700 + i},{a},{o}"),
     "Imaris": "\nPosition\n ==================== \n" + table("Position X,Position Y,Position Z,Unit,Category,Collection,Time,TrackID,ID,",
         lambda i, a, o: f"{i},2,3,um,Spot,Position,{i + 1},1000000000,{i},"),
-    "SLEAP": table("track,frame_idx,instance.score,nose.x,nose.y", lambda i, a, o: f"track_0,{i},0.9,{i},3"),
 }  # fmt: skip
 OF_ADSB = {"ADS-B"}
 """Rows of columns that a reader of JSON makes: ``tests/readers/test_readsb.py``."""

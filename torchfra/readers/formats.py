@@ -137,7 +137,6 @@ FORMATS = (
            degrees=_SEMICIRCLES,
            columns={"time": "recordtimestamp", "latitude": "recordpositionlat", "longitude": "recordpositionlong",
                     "altitude": "recordenhancedaltitude|recordaltitude", "sigma": "recordgpsaccuracy"}),
-    Format("FIT as FitCSVTool writes its messages", begins="Type,Local Number,Message,", refused="hand over the .fit"),
     Format("Suunto", "ehpe latitude longitude gpsaltitude",
            columns={"time": "utc", "sigma": "ehpe", "altitude": "gpsaltitude"},
            degrees=_RADIANS),
@@ -151,13 +150,9 @@ FORMATS = (
     Format("Torque", "gpstime longitude latitude devicetime|speed|horizontaldilutionofprecision",
            columns={"time": "gpstime"}, time=f"{_JAVA}|iso"),
     Format("Traccar", "fixtime devicetime valid", columns={"time": "fixtime", "id": "deviceid"}),
-    Format("Polar", begins="Name,Sport,", refused="it has no positions as CSV: export GPX"),
-    Format("MapSource or BaseCamp", begins="Grid\t", refused="save the track as GPX"),
     # ---------------------------------------------------------------- robots, players and traffic on video
     Format("days of the year", "doy|dayofyear sod|secondsofday", refused="write whole times instead of days of the "
            "year and seconds of the day, such as 2024-06-03 08:15:00"),
-    Format("SLEAP", "frameidx instancescore", refused="positions are pixels at numbers of frames: name columns by the "
-           "options x, y and time, and say time_format, such as 25fps, and units mm, which are pixels in the results"),
     Format("Imaris", "x y unit category collection time", refused="Time is the number of an image: name columns by the "
            "options x, y, z and time, and say time_format, such as 0.1fps, and units mm, which are um in the results"),
     Format("OptiTrack", begins="Format Version,", columns={"x": "x", "y": "z", "z": "y"}),
