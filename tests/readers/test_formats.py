@@ -329,11 +329,13 @@ def test_callsigns_part_flights_where_nothing_else_does(write):
     ]
 
 
-def test_a_finer_time_is_taken_where_dates_are_of_whole_seconds(write):
+def test_a_date_goes_before_a_finer_time_which_is_named(write):
     rows = [(100 * i, iso(i // 10, "%Y-%m-%d %H:%M:%S"), 47 + i / 1e6, 8) for i in range(40)]
-    (track,) = read(write("drone.csv", table("time(millisecond),datetime(utc),latitude,longitude", rows)))
-    np.testing.assert_allclose(track.time, np.arange(40) / 10)
-    assert track.source.notes[0] == "time: time(millisecond), ms; not datetime(utc) (option time takes another)"
+    path = write("drone.csv", table("time(millisecond),datetime(utc),latitude,longitude", rows))
+    for words, start in (({}, START), ({"time": "time(millisecond)"}, 0)):
+        np.testing.assert_allclose(read(path, **words)[0].time - start, np.arange(40) / 10, atol=1e-6)
+    said = "time: datetime(utc), ISO text; not time(millisecond) (option time takes another)"
+    assert read(path)[0].source.notes[0] == said
 
 
 def test_text_as_spreadsheets_write_it_is_read(tmp_path):

@@ -41,9 +41,8 @@ _ABOVE = {"year", "month", "hour", "hours", "minute", "minutes", "min"}
 _BELOW = {"msec", "msecs", "usec", "usecs", "nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds", "nanos", "micros"}
 """Last words of names of columns that hold parts of a time, of more than a second or of less."""
 _PARTS = ("year", "month", "day", "hour", "minute", "second")
-_FEW, _FINER = 0.1, 2
-"""Share of the times of a clock that may not have been set yet; how many times as many moments a
-column of times has to have, to be taken although another has the date."""
+_FEW = 0.1
+"""Share of the times of a clock that may not have been set yet."""
 _NO_UNITS = {"utc", "gmt", "zulu", "local", "unix", "epoch", "elapsed", "relative", "since", "start", "gps", "time"}
 """What may stand in brackets behind times and is no unit."""
 _LOCAL = {"local", "lmt", "lcl"}
@@ -128,10 +127,6 @@ def clock_of(
     if refusals and not best.dated and candidates[0] in refusals:
         raise refusals[candidates[0]]
     dates = [one for one in found(head.names, "date") if len(values_of(head.cells(one)))]
-    moments = {clock: len({str(cell) for name in clock.columns for cell in head.cells(name)}) for clock in clocks}
-    finest = max(clocks, key=lambda clock: moments[clock])
-    if moments[finest] > _FINER * moments[best]:
-        best = finest  # such as ms since a start beside a date of whole seconds: fixes of one moment would be lost
     _check_whole(best, head, candidates, dates)
     return best, [name for name in candidates if name not in best.columns]
 
