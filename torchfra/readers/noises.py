@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from torchfra.readers.columns import HEAD, Array, Head, Kind, values_of, word_of
-from torchfra.readers.names import DEGREES, LENGTHS, METRES, found, in_brackets, plain
+from torchfra.readers.names import DEGREES, LENGTHS, METRES, found, in_brackets, name_words, plain
 from torchfra.readers.names import unit as unit_of
 
 RANGE_ERROR = 5.0
@@ -30,6 +31,8 @@ _UNKNOWN = (65_535.0, 655.35, 4_294_967_295.0, 4_294_967.295)
 _NO_HDOP = (99.0, 99.9, 99.99, 100.0)
 """The same for an HDOP."""
 _ELLIPSE = ("semi_major", "semi_minor", "orientation")
+_COVARIANCE = re.compile(r"(?:(?:field|gps|gnss|fix|pose|position) )*covariance ?(?P<place>[0-9]{1,2})")
+"""Words of names of columns with the entries of a covariance, row by row, as robots write them."""
 
 
 class Noise(NamedTuple):
@@ -62,6 +65,14 @@ def axes_of_ellipses(columns: Sequence[Array]) -> list[Array]:
     return [np.where(known, east, otherwise), np.where(known, north, otherwise)]
 
 
+def roots_of_variances(columns: Sequence[Array]) -> list[Array]:
+    """Standard deviations of variances east, north and up; NaN where one is 0, of an unknown covariance.
+
+    Source: ROS, sensor_msgs/NavSatFix.
+    """
+    return [np.where(variance > 0, np.sqrt(np.abs(variance)), np.nan) for variance in columns]
+
+
 def noise_of(
     head: Head, asked: Mapping[str, tuple[str, ...]], unit: float, ships: bool, *, stated: bool = False,
     units: Mapping[str, str] = {},
@@ -87,6 +98,9 @@ def noise_of(
     axes = [column for axis in "xyz" for column in found(names, f"sigma_{axis}")[:1]]
     if len(axes) >= 2 and "sigma" not in asked:
         return Noise({column: Kind(unit=metres(column, unit)) for column in axes}, (f"sigma: {', '.join(axes)}",))
+    if "sigma" not in asked and (variances := _variances(head)):
+        said = f"sigma: roots of {', '.join(variances)}"
+        return Noise(dict.fromkeys(variances, Kind(unit=unit**2)), (said,), roots_of_variances)
     words = {
         column: {*map(word_of, head.cells(column))} - {""}
         for column in asked.get("argos_class", found(names, "argos_class")[:1])
@@ -120,3 +134,16 @@ def _unknown(cells: Iterable[Any], numbers: tuple[float, ...]) -> str:
     """What is said where an accuracy is not known."""
     there = sorted({*values_of(cells)} & {*numbers})
     return f"; {there[0]:.10g} is no accuracy" if there else ""
+
+
+def _variances(head: Head) -> list[str]:
+    """Columns of the variances of x, y and z in a covariance of 3 or of 6 rows, if these are known."""
+    matches = ((_COVARIANCE.fullmatch(" ".join(name_words(name))), name) for name in head.names)
+    places = {int(match["place"]): name for match, name in matches if match}
+    rows = math.isqrt(len(places))
+    columns = [places.get(i * (rows + 1), "") for i in range(3)] if rows in (3, 6) else []
+    unknown = [name for name in head.names if plain(name).endswith("covariancetype")]
+    if any("0" in map(word_of, head.cells(name)) for name in unknown):
+        return []
+    known = all(one and any(word_of(cell).strip("0.") for cell in head.cells(one)) for one in columns)
+    return columns if known else []
