@@ -11,7 +11,7 @@ from typing import Any, ParamSpec, TypeVar
 
 from torchfra import register
 from torchfra.filters.base import Filter
-from torchfra.hyper import named
+from torchfra.hyper import hypers, named
 from torchfra.presets.options import Group
 from torchfra.presets.values import with_values
 
@@ -84,6 +84,7 @@ def _learning(f: F, names: Collection[str]) -> F:
         model = getattr(inner, part, None)
         if model is not None and any(id(hyper) in chosen for hyper in model.modules()):
             setattr(inner, part, copy.deepcopy(model))
-    for path in paths:
-        f.get_submodule(path).learn(path)  # type: ignore[operator]  # a Hyper, which may be a copy now
+    for path, hyper in hypers(f).items():  # some are copies now
+        if path in paths:
+            hyper.learn(path)
     return f

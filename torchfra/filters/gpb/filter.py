@@ -75,8 +75,9 @@ FIRST, THIRD, SIXTH = 0.7, 0.2, 0.02
 """Values of ``doubt`` above which a measurement is the first, or one of the first three or six: between powers of 1/2,
 so that no rounding of a mean over hypotheses decides."""
 PRIOR_SOONER = 0.6
-"""By how many outliers a prior that is off is likelier than one more than ``PRIOR_BURST``, as ``regimes.SOONER``, and
-by 0.4 of one less likely than so many: a thousandth of a prior that is off by 1e5 standard deviations would be 100."""
+"""By how many outliers a prior that is off is likelier than one more than ``PRIOR_BURST``, as ``regimes.SOONER``.  By
+the rest of one it is less likely than ``PRIOR_BURST`` of them, which has to outweigh how far off it is: a thousandth of
+1e5 standard deviations would be 100."""
 PRIOR_STEEP = 3.0
 """Power of the widening by which a prior that is off is rarer at most: nothing jumps where it begins to be off."""
 
